@@ -1,0 +1,115 @@
+"""The parametric hand: any model in MANO's schema, ours or the licensed one, posed by linear blend skinning."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from grabnet.body.loading import read_model
+from grabnet.body.skinning import forward_kinematics, skin, tree_levels
+
+OPEN_HANDS = Path(__file__).parents[2] / "assets" / "open_hand"
+
+
+class HandParameters(NamedTuple):
+    """Pose of a batch of hands, in whatever frame the caller works in.
+
+    global_orient: (B, 3, 3) wrist rotation. hand_pose: (B, 15, 3, 3) finger joints relative to their parents, in the
+    model's order (index, middle, pinky, ring, thumb). transl: (B, 3) metres, added after rotating about the wrist.
+    """
+
+    global_orient: Tensor
+    hand_pose: Tensor
+    transl: Tensor
+
+    def select(self, index: Tensor | slice) -> HandParameters:
+        """The chosen batch elements."""
+        return HandParameters(*(x[index] for x in self))
+
+
+class Hand(NamedTuple):
+    """Posed hands: vertices (B, V, 3) and joints (B, 16, 3), metres, in the frame of their parameters."""
+
+    vertices: Tensor
+    joints: Tensor
+
+
+class HandModel(nn.Module):
+    """A hand in MANO's schema: 16 joints, the wrist first.
+
+    Args:
+        path: `.npz` or official `.pkl` file; `HandModel.open("right")` loads the open stand-in.
+        dtype: of all buffers; inputs must match.
+
+    Attributes:
+        v_template (V, 3), shapedirs (V, 3, n_betas), J_regressor (16, V), weights (V, 16), faces (F, 3) int64;
+        hand_mean (45,) and hand_components (45, 45) in axis-angle, for PCA poses.
+    """
+
+    def __init__(self, path: str | Path, dtype: torch.dtype = torch.float32):
+        super().__init__()
+        model = read_model(path)
+        self.is_right = bool(model["is_right"])
+        self.parents: list[int] = model["parents"].tolist()
+        self._levels = tree_levels(self.parents)
+
+        def buffer(name: str, value: np.ndarray) -> None:
+            tensor = torch.as_tensor(value)
+            self.register_buffer(name, tensor.to(dtype) if tensor.is_floating_point() else tensor.long(), False)
+
+        for name in ("v_template", "shapedirs", "J_regressor", "weights", "faces"):
+            buffer(name, model[name])
+        buffer("hand_mean", model["hands_mean"])
+        buffer("hand_components", model["hands_components"])
+        # (135, V·3): what each entry of R - I adds to the rest vertices. All zero in the open hand: skipped there.
+        posedirs = model["posedirs"]
+        self.has_pose_correctives = bool(np.any(posedirs))
+        if self.has_pose_correctives:
+            buffer("posedirs", posedirs.reshape(-1, posedirs.shape[-1]).T.copy())
+
+    @classmethod
+    def open(cls, side: str = "right", dtype: torch.dtype = torch.float32) -> HandModel:
+        """The open stand-in shipped with the package (CC0, from MakeHuman); `side` is right or left."""
+        return cls(OPEN_HANDS / f"MANO_{side.upper()}.npz", dtype)
+
+    def shaped(self, betas: Tensor, v_template: Tensor | None = None) -> Tensor:
+        """Rest vertices (..., V, 3) of shapes `betas` (..., n) with n up to the model's number of betas."""
+        n = betas.shape[-1]
+        if n > self.shapedirs.shape[-1]:
+            raise ValueError(f"{n} betas given, but this hand model has {self.shapedirs.shape[-1]}")
+        offset = (betas @ self.shapedirs[..., :n].reshape(-1, n).mT).unflatten(-1, (-1, 3))
+        return (self.v_template if v_template is None else v_template) + offset
+
+    def pose_from_pca(self, components: Tensor, flat_hand_mean: bool = True) -> Tensor:
+        """(..., n) principal components → (..., 45) axis-angle; added to the mean pose unless `flat_hand_mean`."""
+        pose = components @ self.hand_components[: components.shape[-1]]
+        return pose if flat_hand_mean else pose + self.hand_mean
+
+    def rest_joints(self, rest: Tensor) -> Tensor:
+        """(..., V, 3) rest vertices → (..., 16, 3) joints."""
+        return self.J_regressor @ rest
+
+    def forward(self, parameters: HandParameters, rest: Tensor | None = None) -> Hand:
+        """Pose the hand.
+
+        Args:
+            parameters: a batch of B poses.
+            rest: rest vertices, (V, 3) shared or (B, V, 3): `shaped(betas)` or a subject's v_template; the model's
+                own template when omitted.
+        """
+        rest = self.v_template if rest is None else rest
+        global_orient, hand_pose, transl = parameters
+        rotations = torch.cat([global_orient.unsqueeze(1), hand_pose], 1)
+        joints = self.rest_joints(rest)
+        joints = joints if joints.dim() == 3 else joints.unsqueeze(0)
+        if self.has_pose_correctives:
+            feature = (hand_pose - torch.eye(3, dtype=hand_pose.dtype, device=hand_pose.device)).flatten(1)
+            rest = rest + (feature @ self.posedirs).unflatten(1, (-1, 3))
+        world, position = forward_kinematics(rotations, joints, self.parents, self._levels)
+        position = position + transl.unsqueeze(1)
+        offset = position - (world @ joints.unsqueeze(-1)).squeeze(-1)
+        return Hand(skin(rest, self.weights, world, offset), position)

@@ -1,0 +1,73 @@
+"""Writing files so that a reader never sees half of one, and telling files apart by content."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from grabnet.errors import UserError
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """A temporary path beside `path`, moved over it when the block ends well and removed when it does not.
+
+    The temporary name keeps the suffix, since many writers choose the format by it.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        # mkstemp makes files private; what we publish follows the user's umask like any other file.
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_json(path: str | Path, value: Any) -> None:
+    """Write `value` as indented JSON, atomically."""
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
+
+
+def sha256(*parts: bytes | str | np.ndarray | Path) -> str:
+    """Hex digest of all parts in order; a `Path` stands for its file's bytes, an array for dtype, shape and values."""
+    digest = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, Path):
+            with part.open("rb") as file:
+                while block := file.read(1 << 20):
+                    digest.update(block)
+        elif isinstance(part, np.ndarray):
+            digest.update(f"{part.dtype.str}{part.shape}".encode())
+            digest.update(np.ascontiguousarray(part).tobytes())
+        else:
+            digest.update(part.encode() if isinstance(part, str) else part)
+    return digest.hexdigest()
+
+
+def existing(path: str | Path, what: str) -> Path:
+    """`path` when it exists; otherwise a `UserError` that lists what lies beside it."""
+    path = Path(path)
+    if path.exists():
+        return path
+    parent = path.parent
+    if not parent.is_dir():
+        raise UserError(f"{what} {path} does not exist, nor does its folder {parent}.")
+    beside = sorted(p.name for p in parent.iterdir() if not p.name.startswith("."))
+    listing = ", ".join(beside[:12]) + (", …" if len(beside) > 12 else "")
+    raise UserError(f"{what} {path} does not exist; {parent} holds {listing or 'nothing'}.")
