@@ -26,6 +26,16 @@ class HandParameters(NamedTuple):
     hand_pose: Tensor
     transl: Tensor
 
+    @classmethod
+    def from_rotations(cls, rotations: Tensor, transl: Tensor) -> HandParameters:
+        """From all 16 joints' rotations (B, 16, 3, 3), the wrist first."""
+        return cls(rotations[:, 0], rotations[:, 1:], transl)
+
+    @property
+    def rotations(self) -> Tensor:
+        """All joints' rotations, the wrist first: (B, 16, 3, 3)."""
+        return torch.cat([self.global_orient.unsqueeze(1), self.hand_pose], 1)
+
     def select(self, index: Tensor | slice) -> HandParameters:
         """The chosen batch elements."""
         return HandParameters(*(x[index] for x in self))
@@ -102,14 +112,13 @@ class HandModel(nn.Module):
                 own template when omitted.
         """
         rest = self.v_template if rest is None else rest
-        global_orient, hand_pose, transl = parameters
-        rotations = torch.cat([global_orient.unsqueeze(1), hand_pose], 1)
+        rotations = parameters.rotations
         joints = self.rest_joints(rest)
         joints = joints if joints.dim() == 3 else joints.unsqueeze(0)
         if self.has_pose_correctives:
-            feature = (hand_pose - torch.eye(3, dtype=hand_pose.dtype, device=hand_pose.device)).flatten(1)
+            feature = (rotations[:, 1:] - torch.eye(3, dtype=rotations.dtype, device=rotations.device)).flatten(1)
             rest = rest + (feature @ self.posedirs).unflatten(1, (-1, 3))
         world, position = forward_kinematics(rotations, joints, self.parents, self._levels)
-        position = position + transl.unsqueeze(1)
+        position = position + parameters.transl.unsqueeze(1)
         offset = position - (world @ joints.unsqueeze(-1)).squeeze(-1)
         return Hand(skin(rest, self.weights, world, offset), position)

@@ -1,0 +1,69 @@
+"""CoarseNet: a conditional variational autoencoder of grasps, given an object's basis point set (paper 5.1, spec 6)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.distributions import Normal
+from torch.nn import functional as F  # noqa: N812
+
+from grabnet.body.hand import HandParameters
+from grabnet.geometry.bps import BPS
+from grabnet.geometry.rotations import six_d_to_matrix
+from grabnet.models.layers import ResidualBlock, concatenate
+
+
+class CoarseNet(nn.Module):
+    """Object shape and latent code → hand pose, in the object-centred world frame.
+
+    Args:
+        bps: the basis that objects are encoded in; part of the network, saved with it.
+        latent_dim: size of the latent code.
+        width: features between the residual blocks.
+        n_hidden: features inside a residual block.
+        n_joints: hand joints including the wrist.
+    """
+
+    def __init__(self, bps: BPS, latent_dim: int = 16, width: int = 512, n_hidden: int = 256, n_joints: int = 16):
+        super().__init__()
+        if latent_dim < 1:
+            raise ValueError(f"latent_dim is {latent_dim}; a latent code needs at least 1 dimension")
+        self.bps = bps
+        self.latent_dim = latent_dim
+        n_bps = len(bps.basis)
+        n_encoder, n_decoder = n_bps + 12, n_bps + latent_dim
+        self.encoder_norm = nn.BatchNorm1d(n_encoder)
+        self.encoder1 = ResidualBlock(n_encoder, width, n_hidden)
+        self.encoder2 = ResidualBlock(n_encoder + width, width, n_hidden)
+        self.mean = nn.Linear(width, latent_dim)
+        self.deviation = nn.Linear(width, latent_dim)
+
+        self.decoder_norm = nn.BatchNorm1d(n_bps)
+        self.decoder1 = ResidualBlock(n_decoder, width, n_hidden)
+        self.decoder2 = ResidualBlock(n_decoder + width, width, n_hidden)
+        self.pose = nn.Linear(width, n_joints * 6)
+        self.transl = nn.Linear(width, 3)
+
+    def encode(self, bps: Tensor, global_orient: Tensor, transl: Tensor) -> Normal:
+        """Posterior over latent codes (B, latent_dim), given bps (B, P) in metres and the true wrist."""
+        x = self.encoder_norm(concatenate(bps, global_orient, transl))
+        h = self.encoder2(concatenate(x, self.encoder1(x)))
+        return Normal(self.mean(h), F.softplus(self.deviation(h)), validate_args=False)
+
+    def decode(self, z: Tensor, bps: Tensor) -> HandParameters:
+        """Hands for latent codes z (B, latent_dim) on objects bps (B, P)."""
+        x = concatenate(z, self.decoder_norm(bps))
+        h = self.decoder2(concatenate(x, self.decoder1(x)))
+        rotations = six_d_to_matrix(self.pose(h).unflatten(1, (-1, 6)))
+        return HandParameters.from_rotations(rotations, self.transl(h))
+
+    def forward(self, bps: Tensor, global_orient: Tensor, transl: Tensor) -> tuple[HandParameters, Normal]:
+        """Reconstruct: posterior, one sample of it (its mean in eval mode), and the hand decoded from that."""
+        posterior = self.encode(bps, global_orient, transl)
+        z = posterior.rsample() if self.training else posterior.mean
+        return self.decode(z, bps), posterior
+
+    def sample(self, bps: Tensor, generator: torch.Generator | None = None) -> HandParameters:
+        """One new grasp per row of bps (B, P), from z ~ N(0, 1)."""
+        z = torch.randn(len(bps), self.latent_dim, generator=generator, dtype=bps.dtype, device=bps.device)
+        return self.decode(z, bps)

@@ -1,0 +1,65 @@
+"""RefineNet: corrects a grasp step by step from the hand's distances to the object (paper 5.1, spec 6)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from torch import Tensor, nn
+
+from grabnet.body.hand import HandModel, HandParameters
+from grabnet.geometry.rotations import matrix_to_six_d, six_d_to_matrix
+from grabnet.models.layers import ResidualBlock, concatenate
+
+
+class RefineNet(nn.Module):
+    """Three residual iterations with shared weights; the hand is posed and measured anew between them.
+
+    Args:
+        hand: poses the estimate between iterations; it is not trained and not saved with the weights.
+        iterations: number of corrections.
+        width: features between the residual blocks.
+        n_hidden: features inside a residual block.
+        dropout: probability, after each block.
+    """
+
+    def __init__(
+        self, hand: HandModel, iterations: int = 3, width: int = 512, n_hidden: int = 256, dropout: float = 0.3
+    ):
+        super().__init__()
+        self.hand = hand
+        self.iterations = iterations
+        n_vertices, n_joints = len(hand.v_template), len(hand.parents)
+        n_in = n_vertices + n_joints * 6 + 3
+        self.distance_norm = nn.BatchNorm1d(n_vertices)
+        self.block1 = ResidualBlock(n_in, width, n_hidden)
+        self.block2 = ResidualBlock(n_in + width, width, n_hidden)
+        self.block3 = ResidualBlock(n_in + width, width, n_hidden)
+        self.dropout = nn.Dropout(dropout)
+        self.pose = nn.Linear(width, n_joints * 6)
+        self.transl = nn.Linear(width, 3)
+
+    def correction(self, distances: Tensor, pose: Tensor, transl: Tensor) -> tuple[Tensor, Tensor]:
+        """Changes of pose (B, 96) and transl (B, 3) for hand→object distances (B, V) in metres."""
+        x = concatenate(self.distance_norm(distances), pose, transl)
+        h = self.dropout(self.block1(x))
+        h = self.dropout(self.block2(concatenate(h, x)))
+        h = self.dropout(self.block3(concatenate(h, x)))
+        return self.pose(h), self.transl(h)
+
+    def forward(
+        self, parameters: HandParameters, distances: Callable[[Tensor], Tensor], rest: Tensor | None = None
+    ) -> HandParameters:
+        """Refine a batch of grasps.
+
+        Args:
+            parameters: the estimate, in the object-centred world frame.
+            distances: hand vertices (B, V, 3) in that frame → their distances to the object (B, V), metres.
+            rest: rest vertices of the hands, as `HandModel.forward` takes them.
+        """
+        pose, transl = matrix_to_six_d(parameters.rotations).flatten(1), parameters.transl
+        for _ in range(self.iterations):
+            vertices = self.hand(parameters, rest).vertices
+            pose_change, transl_change = self.correction(distances(vertices), pose, transl)
+            pose, transl = pose + pose_change, transl + transl_change
+            parameters = HandParameters.from_rotations(six_d_to_matrix(pose.unflatten(1, (-1, 6))), transl)
+        return parameters
