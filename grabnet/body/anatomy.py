@@ -1,0 +1,212 @@
+"""What the vertices and joints of a hand mean: fingers, pads, fingertips, wrist opening, joint axes and limits.
+
+Everything is computed from weights, faces, joints and rest geometry, so it holds for any hand in MANO's schema, right
+or left. Directions are named from the hand, not from its coordinate axes: distal (wrist to fingers), palmar (out of
+the palm) and radial (towards the thumb).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from grabnet.body.hand import HandModel
+
+FINGERS = ("thumb", "index", "middle", "ring", "pinky")
+_MODEL_FINGERS = ("index", "middle", "pinky", "ring", "thumb")  # MANO's order of joints
+# Joint k is the proximal end of phalanx k of its finger: index1 is the knuckle, thumb1 the base of the thumb (CMC).
+JOINTS = ("wrist", *(f"{finger}{k}" for finger in _MODEL_FINGERS for k in (1, 2, 3)))
+
+# Radians; positive bends towards the palm (flexion), towards the thumb's side of the hand (abduction), or turns the
+# thumb's pad towards the fingers (twist).
+_FINGER_LIMITS = {"mcp_flexion": (-0.35, 1.5), "mcp_abduction": (-0.3, 0.3), "pip": (0.0, 1.8), "dip": (0.0, 1.15)}
+_THUMB_LIMITS = {
+    "cmc_flexion": (-0.9, 0.9),
+    "cmc_abduction": (-0.9, 0.9),
+    "cmc_twist": (-0.5, 0.9),
+    "mcp": (-0.35, 1.0),
+    "ip": (-0.35, 1.3),
+}
+ANGLE_LIMITS = {f"{f}_{name}": limit for f in _MODEL_FINGERS[:4] for name, limit in _FINGER_LIMITS.items()} | {
+    f"thumb_{name}": limit for name, limit in _THUMB_LIMITS.items()
+}
+_JOINT_OF_ANGLE = (0, 0, 1, 2)  # of a finger, counted from its first joint
+_JOINT_OF_THUMB_ANGLE = (0, 0, 0, 1, 2)
+
+# Flexion axis of the thumb along (distal, palmar, radial) of a right hand, before it is made perpendicular to the bone.
+# It can't be read off a straight thumb; measured on the open hand, whose thumb is modelled slightly curled.
+_THUMB_FLEXION = (-0.28, 0.74, -0.62)
+
+
+@dataclass(frozen=True)
+class Anatomy:
+    """Labels and joint axes of one hand model, on its device and in its dtype; make it with `Anatomy.of(hand)`.
+
+    Attributes:
+        bone: (V,) int64, joint with the largest skinning weight.
+        finger: (V,) int64 index into `FINGERS`; -1 on palm and wrist.
+        tips: (5,) int64 vertices at the fingertips, in the order of `FINGERS`.
+        pads: palmar vertices (int64) of each phalanx, "thumb1" (proximal) … "pinky3" (distal), of the palm
+            ("palm_thenar", "palm_hypothenar", "palm_mcp") and the thumb's side of the index finger ("index_side").
+        wrist_loop: (L,) int64 vertices around the wrist opening, in order.
+        cap_faces: (L - 2, 3) int64 faces that close it; `capped_faces` are all faces, watertight, oriented outwards.
+        angle_names: the 21 anatomical angles.
+        angle_axes: (21, 3) unit axes in the rest pose. angle_joints: (21,) int64 joint that each angle turns.
+        angle_limits: (21, 2) lowest and highest, radians.
+    """
+
+    bone: Tensor
+    finger: Tensor
+    tips: Tensor
+    pads: dict[str, Tensor]
+    wrist_loop: Tensor
+    cap_faces: Tensor
+    capped_faces: Tensor
+    angle_names: tuple[str, ...]
+    angle_axes: Tensor
+    angle_joints: Tensor
+    angle_limits: Tensor
+
+    @classmethod
+    def of(cls, hand: HandModel, limits: dict[str, tuple[float, float]] = ANGLE_LIMITS) -> Anatomy:
+        """Anatomy of the hand in its rest pose; `limits` replaces the limits of the angles it names."""
+        vertices, faces, weights = hand.v_template, hand.faces, hand.weights
+        joints = hand.rest_joints(vertices)
+        frame = _hand_frame(joints, hand.is_right)
+        bone = weights.argmax(1)
+        finger = torch.tensor([-1, *(FINGERS.index(f) for f in _MODEL_FINGERS for _ in range(3))], device=bone.device)
+        tips = torch.stack([_tip(vertices, joints, bone, f) for f in FINGERS])
+        axes = _axes(joints, vertices[tips[0]], frame, hand.is_right)
+        loop = boundary_loop(faces)
+        cap = torch.stack([loop[:1].expand(len(loop) - 2), loop[2:], loop[1:-1]], 1)
+        return cls(
+            bone=bone,
+            finger=finger[bone],
+            tips=tips,
+            pads=_pads(vertices, vertex_normals(vertices, faces), joints, weights, tips, frame, axes),
+            wrist_loop=loop,
+            cap_faces=cap,
+            capped_faces=torch.cat([faces, cap]),
+            angle_names=tuple(ANGLE_LIMITS),
+            angle_axes=axes,
+            angle_joints=torch.tensor(
+                [1 + 3 * f + j for f in range(4) for j in _JOINT_OF_ANGLE] + [13 + j for j in _JOINT_OF_THUMB_ANGLE],
+                device=bone.device,
+            ),
+            angle_limits=vertices.new_tensor([(ANGLE_LIMITS | limits)[name] for name in ANGLE_LIMITS]),
+        )
+
+    def hand_pose(self, angles: Tensor) -> Tensor:
+        """(..., 21) anatomical angles in radians → (..., 15, 3, 3) joint rotations.
+
+        Knuckles flex first, then abduct; the base of the thumb twists, flexes, then abducts. At zero the hand is flat.
+        """
+        turned = _about(self.angle_axes, angles)
+        fingers = turned[..., :16, :, :].unflatten(-3, (4, 4))
+        knuckles = fingers[..., 1, :, :] @ fingers[..., 0, :, :]
+        fingers = torch.cat([knuckles.unsqueeze(-3), fingers[..., 2:, :, :]], -3).flatten(-4, -3)
+        flexion, abduction, twist = turned[..., 16:19, :, :].unbind(-3)
+        base = (abduction @ flexion @ twist).unsqueeze(-3)
+        return torch.cat([fingers, base, turned[..., 19:, :, :]], -3)
+
+
+def boundary_loop(faces: Tensor) -> Tensor:
+    """(F, 3) faces of a mesh with one opening → (L,) its boundary vertices, along the direction of the faces' edges.
+
+    Raises:
+        ValueError: the boundary isn't one simple loop.
+    """
+    edges = {(a, b) for face in faces.tolist() for a, b in zip(face, face[1:] + face[:1], strict=True)}
+    follows = {a: b for a, b in edges if (b, a) not in edges}
+    loop = [min(follows, default=0)]
+    while len(loop) < len(follows) and follows[loop[-1]] != loop[0]:
+        loop.append(follows[loop[-1]])
+    if len(loop) < 3 or len(loop) < len(follows):
+        raise ValueError(f"the {len(follows)} boundary edges of this mesh don't form one simple loop")
+    return torch.tensor(loop, device=faces.device)
+
+
+def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
+    """(..., V, 3) vertices, (F, 3) faces → (..., V, 3) unit normals, area-weighted."""
+    a, b, c = vertices[..., faces, :].unbind(-2)
+    face_normals = torch.linalg.cross(b - a, c - a, dim=-1)
+    total = torch.zeros_like(vertices)
+    for corner in faces.unbind(-1):
+        total = total.index_add(-2, corner, face_normals)
+    return _unit(total)
+
+
+def _hand_frame(joints: Tensor, is_right: bool) -> Tensor:
+    """(3, 3) rows: distal, palmar, radial, orthonormal; from the wrist and the four knuckles."""
+    index, middle, pinky, ring = (joints[1 + 3 * f] - joints[0] for f in range(4))
+    palmar = _unit(torch.linalg.cross(index, pinky)) * (1 if is_right else -1)
+    distal = index + middle + pinky + ring
+    distal = _unit(distal - (distal @ palmar) * palmar)
+    radial = torch.linalg.cross(distal, palmar) * (1 if is_right else -1)
+    return torch.stack([distal, palmar, radial])
+
+
+def _tip(vertices: Tensor, joints: Tensor, bone: Tensor, finger: str) -> Tensor:
+    """The vertex of the distal phalanx that lies farthest along it."""
+    joint = JOINTS.index(f"{finger}3")
+    phalanx = (bone == joint).nonzero().squeeze(1)
+    offset = vertices[phalanx] - joints[joint]
+    return phalanx[(offset @ _unit(offset.mean(0))).argmax()]
+
+
+def _axes(joints: Tensor, thumb_tip: Tensor, frame: Tensor, is_right: bool) -> Tensor:
+    """(21, 3) axes. Rotating about a × b carries a towards b: all fingers' axes are such products of directions."""
+    palmar = frame[1]
+    axes = []
+    for first in (1, 4, 7, 10):
+        along = joints[first + 2] - joints[first]
+        flexion = _unit(torch.linalg.cross(along, palmar))  # perpendicular to the palm even if the finger isn't flat
+        abduction = -palmar if is_right else palmar
+        axes += [flexion, abduction, flexion, flexion]
+    along = _unit(joints[14] - joints[13])
+    flexion = frame.new_tensor(_THUMB_FLEXION) @ frame * (1 if is_right else -1)
+    flexion = _unit(flexion - (flexion @ along) * along)
+    axes += [flexion, torch.linalg.cross(along, flexion), along, flexion, flexion]
+    return torch.stack(axes)
+
+
+def _pads(
+    vertices: Tensor, normals: Tensor, joints: Tensor, weights: Tensor, tips: Tensor, frame: Tensor, axes: Tensor
+) -> dict[str, Tensor]:
+    """Vertices that touch an object in a grasp, by region."""
+    palmar, radial = frame[1], frame[2]
+    weight, bone = weights.max(1)
+    pads: dict[str, Tensor] = {}
+    for f, finger in enumerate(FINGERS):
+        first = JOINTS.index(f"{finger}1")
+        ends = [*joints[first : first + 3], vertices[tips[f]]]
+        for k in range(3):
+            inward = palmar if finger != "thumb" else torch.linalg.cross(axes[16], _unit(ends[k + 1] - ends[k]))
+            pads[f"{finger}{k + 1}"] = (bone == first + k) & (weight > 0.5) & (normals @ inward > 0.45)
+    # Along the palm: 0 at the wrist, 1 at the knuckles. Across it: -1/2 at the pinky's knuckle, 1/2 at the index finger's.
+    along, _, across = ((vertices - joints[0]) @ frame.T).unbind(-1)
+    knuckles = (joints[[1, 4, 7, 10]] - joints[0]) @ frame.T
+    along = along / knuckles[:, 0].mean()
+    across = (across - (knuckles[0, 2] + knuckles[2, 2]) / 2) / (knuckles[0, 2] - knuckles[2, 2])
+    palm = (bone == 0) & (normals @ palmar > 0.5) & (along > 0.05)
+    pads["palm_thenar"] = palm & (across > 0.1) & (along < 0.75)
+    pads["palm_hypothenar"] = palm & (across < -0.1) & (along < 0.75)
+    pads["palm_mcp"] = palm & (along >= 0.75)
+    side = (bone == JOINTS.index("index2")) | (bone == JOINTS.index("index3"))
+    pads["index_side"] = side & (normals @ _unit(radial + 0.3 * palmar) > 0.7)
+    return {name: mask.nonzero().squeeze(1) for name, mask in pads.items()}
+
+
+def _about(axes: Tensor, angles: Tensor) -> Tensor:
+    """Unit axes (N, 3), angles (..., N) → (..., N, 3, 3) rotations (Rodrigues)."""
+    x, y, z = axes.unbind(-1)
+    o = torch.zeros_like(x)
+    cross = torch.stack([o, -z, y, z, o, -x, -y, x, o], -1).unflatten(-1, (3, 3))
+    sin, cos = angles.sin()[..., None, None], angles.cos()[..., None, None]
+    return torch.eye(3, dtype=axes.dtype, device=axes.device) + sin * cross + (1 - cos) * (cross @ cross)
+
+
+def _unit(vector: Tensor) -> Tensor:
+    return vector / vector.norm(dim=-1, keepdim=True)
