@@ -1,0 +1,178 @@
+"""Triangle meshes: the one form in which objects move through the code, and their reading and writing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from grabnet.errors import UserError
+from grabnet.files import existing, replacing, sha256
+from grabnet.geometry.mesh_formats import read_geometry
+
+MAX_FACES = 2_000_000
+# Objects that a hand takes: outside this range of largest sides (metres) the units are probably wrong.
+GRASPABLE = (0.01, 0.40)
+# The axis that points up, where a format's specification says so; every other file is taken as z-up.
+FORMAT_UP = {".gltf": "y", ".glb": "y"}
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A triangle mesh in its own frame.
+
+    vertices: (V, 3) float32. faces: (F, 3) int32, counter-clockwise seen from outside.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+    def __post_init__(self):
+        for name, dtype in (("vertices", np.float32), ("faces", np.int32)):
+            array = np.array(getattr(self, name), dtype=dtype, order="C")
+            array.setflags(write=False)  # the cached properties below hold for the life of the mesh
+            object.__setattr__(self, name, array)
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hex digest of vertices and faces: equal for equal geometry, wherever it was read from."""
+        return sha256(self.vertices, self.faces)
+
+    @cached_property
+    def centroid(self) -> np.ndarray:
+        """(3,) mean of the vertices: the origin of the frame grasps are learned in (spec 3)."""
+        return self.vertices.mean(0, dtype=np.float64).astype(np.float32)
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """(2, 3) lowest and highest corner."""
+        return np.stack([self.vertices.min(0), self.vertices.max(0)])
+
+    @property
+    def extents(self) -> np.ndarray:
+        """(3,) sides of the bounding box."""
+        return np.ptp(self.vertices, axis=0)
+
+    @property
+    def triangles(self) -> np.ndarray:
+        """(F, 3, 3) corners of each face."""
+        return self.vertices[self.faces]
+
+    @cached_property
+    def volume(self) -> float:
+        """Enclosed volume; negative when the faces look inward. Of an open mesh: closed towards its centroid."""
+        a, b, c = np.moveaxis(self.triangles.astype(np.float64) - self.centroid, 1, 0)
+        return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
+
+    def trimesh(self) -> trimesh.Trimesh:
+        """The same mesh for trimesh, with vertices and faces untouched."""
+        return trimesh.Trimesh(self.vertices, self.faces, process=False)
+
+    def transformed(self, matrix: np.ndarray) -> Mesh:
+        """Moved by a (4, 4) affine matrix acting on column vectors."""
+        matrix = np.asarray(matrix, dtype=np.float64)
+        return Mesh(self.vertices @ matrix[:3, :3].T + matrix[:3, 3], self.faces)
+
+    def sample_surface(self, n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """(n, 3) points spread evenly by area and the (n, 3) unit normals of their faces, float32."""
+        rng = np.random.default_rng(seed)
+        corners = self.triangles.astype(np.float64)
+        edge_u, edge_v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        normals = np.cross(edge_u, edge_v)
+        doubled_area = np.linalg.norm(normals, axis=1)
+        face = rng.choice(len(corners), n, p=doubled_area / doubled_area.sum())
+        u, v = rng.random((2, n, 1))
+        u, v = np.where(u + v > 1, (1 - u, 1 - v), (u, v))  # fold the parallelogram onto the triangle
+        points = corners[face, 0] + u * edge_u[face] + v * edge_v[face]
+        return points.astype(np.float32), (normals[face] / doubled_area[face, None]).astype(np.float32)
+
+
+def load_mesh(path: str | Path, weld: bool = True) -> Mesh:
+    """Read an obj, ply, stl, off, glb or gltf file, in the file's own frame and units (see `file_to_object`).
+
+    Scenes are flattened with their transforms. Only geometry is read: no materials, nothing outside the file's folder.
+
+    Args:
+        weld: merge exactly equal vertices (STL stores each face's corners anew) and drop those that no face uses, in
+            file order otherwise. Pass False where other data counts on the file's vertex numbers.
+
+    Raises:
+        UserError: missing, of an unknown or wrong format, unreadable, no faces, not finite, no area, too many faces.
+    """
+    path = existing(path, "Mesh")
+    vertices, faces = read_geometry(path)
+    _check(path, vertices, faces)
+    mesh = Mesh(*_welded(vertices, faces)) if weld else Mesh(vertices, faces)
+    if not np.linalg.norm(trimesh.triangles.cross(mesh.triangles.astype(np.float64)), axis=1).sum() > 0:
+        raise UserError(
+            f"{path} has zero area: its {len(faces)} faces are all lines or points; export a solid surface."
+        )
+    return mesh
+
+
+def save_mesh(path: str | Path, mesh: Mesh) -> None:
+    """Write `mesh` in the format of the file's suffix, in the mesh's own frame, atomically."""
+    path = Path(path)
+    data = mesh.trimesh().export(file_type=path.suffix.lower().lstrip("."))
+    with replacing(path) as temporary:
+        temporary.write_bytes(data.encode() if isinstance(data, str) else data)
+
+
+def file_to_object(path: str | Path, scale: float = 1.0, up: str | None = None) -> np.ndarray:
+    """(4, 4) matrix from the file's frame and units to the object frame, metres and z up.
+
+    Args:
+        scale: metres per unit of the file.
+        up: the file's axis that points up, "x", "y" or "z"; when omitted, y for glTF by its specification, else z.
+    """
+    up = up or FORMAT_UP.get(Path(path).suffix.lower(), "z")
+    if up not in "xyz":
+        raise UserError(f"up={up} is no axis: use x, y or z.")
+    matrix = np.eye(4)
+    # A cyclic exchange would carry up to z too, but the least turn keeps the remaining axis where it was.
+    matrix[:3, :3] = {
+        "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+        "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+        "z": np.eye(3),
+    }[up]
+    matrix[:3, :3] *= scale
+    return matrix
+
+
+def check_size(mesh: Mesh, name: str | Path) -> None:
+    """Raise a `UserError` suggesting `scale=` where a mesh in metres is larger or smaller than what a hand takes."""
+    smallest, largest = GRASPABLE
+    side = float(mesh.extents.max())
+    if smallest <= side <= largest:
+        return
+    units = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "decimetres": 0.1}
+    fits = {unit: factor for unit, factor in units.items() if 0.02 <= side * factor <= largest}
+    fitting = [f"scale={factor} if it is in {unit}" for unit, factor in fits.items()]
+    remedy = " or ".join(fitting) if fitting else "scale=<metres per unit of the file>"
+    bound = f"larger than {largest * 100:g} cm" if side > largest else f"smaller than {smallest * 100:g} cm"
+    raise UserError(f"{name} has a largest side of {side:.4g}, {bound} when read as metres: pass {remedy}.")
+
+
+def _check(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
+    if not len(faces):
+        raise UserError(f"{path} has {len(vertices)} vertices but no faces: a point cloud must be meshed first.")
+    if len(faces) > MAX_FACES:
+        raise UserError(f"{path} has {len(faces):,} faces; simplify it to at most {MAX_FACES:,} (20,000 are plenty).")
+    if bad := int((~np.isfinite(vertices.astype(np.float32))).any(1).sum()):
+        raise UserError(f"{path} has {bad} vertices that are NaN or infinite: repair or export it again.")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise UserError(f"{path} has faces that name vertices beyond the {len(vertices)} it holds: export it again.")
+
+
+def _welded(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Equal vertices made one and unused ones dropped, in order of first appearance; collapsed faces dropped."""
+    vertices = np.ascontiguousarray(vertices, np.float32) + 0.0  # -0 and 0 are the same place
+    _, first, same = np.unique(vertices.view("V12").ravel(), return_index=True, return_inverse=True)
+    faces = first[same[faces]]
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    used = np.unique(faces)
+    return vertices[used], np.searchsorted(used, faces)
