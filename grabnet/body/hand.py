@@ -103,6 +103,23 @@ class HandModel(nn.Module):
         """(..., V, 3) rest vertices → (..., 16, 3) joints."""
         return self.J_regressor @ rest
 
+    def moved(
+        self, parameters: HandParameters, rotation: Tensor, translation: Tensor | None = None, rest: Tensor | None = None
+    ) -> HandParameters:
+        """The same hands after a rigid motion x → rotation x + translation of all they are made of.
+
+        Not simply rotated parameters: transl is added after turning about the wrist, whose rest position moves along.
+
+        Args:
+            rotation, translation: (B or 1, 3, 3) and (B or 1, 3); no translation when omitted.
+            rest: as in `forward`.
+        """
+        rest = self.v_template if rest is None else rest
+        wrist = self.J_regressor[0] @ rest  # (3,) or (B, 3)
+        turned = (rotation @ (wrist + parameters.transl).unsqueeze(-1)).squeeze(-1) - wrist
+        transl = turned if translation is None else turned + translation
+        return HandParameters(rotation @ parameters.global_orient, parameters.hand_pose, transl)
+
     def forward(self, parameters: HandParameters, rest: Tensor | None = None) -> Hand:
         """Pose the hand.
 
