@@ -185,7 +185,7 @@ def _pads(
         for k in range(3):
             inward = palmar if finger != "thumb" else torch.linalg.cross(axes[16], _unit(ends[k + 1] - ends[k]))
             pads[f"{finger}{k + 1}"] = (bone == first + k) & (weight > 0.5) & (normals @ inward > 0.45)
-    # Along the palm: 0 at the wrist, 1 at the knuckles. Across it: -1/2 at the pinky's knuckle, 1/2 at the index finger's.
+    # Along the palm: 0 at the wrist, 1 at the knuckles. Across it: -1/2 at the knuckle of the pinky, 1/2 at the index.
     along, _, across = ((vertices - joints[0]) @ frame.T).unbind(-1)
     knuckles = (joints[[1, 4, 7, 10]] - joints[0]) @ frame.T
     along = along / knuckles[:, 0].mean()
