@@ -1,0 +1,76 @@
+"""Basis point sets (Prokudin et al. 2019): a shape as the distances from fixed points to it, the networks' input."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from grabnet.geometry.atlas import SDFAtlas
+from grabnet.geometry.queries import MeshQuery
+
+FEATURES = ("dists", "deltas", "closest")
+
+
+class BPS(nn.Module):
+    """Points spread evenly in a ball.
+
+    Args:
+        n_points: 4096 in the paper.
+        radius: of the ball, metres.
+        seed: of the points; the same on every machine.
+
+    Attributes:
+        basis (n_points, 3): persistent, since a trained network holds for its own basis only.
+    """
+
+    def __init__(self, n_points: int = 4096, radius: float = 0.15, seed: int = 0):
+        super().__init__()
+        generator = torch.Generator().manual_seed(seed)
+        direction = torch.randn(n_points, 3, generator=generator, dtype=torch.float64)
+        length = torch.rand(n_points, 1, generator=generator, dtype=torch.float64) ** (1 / 3)
+        basis = radius * length * nn.functional.normalize(direction, dim=-1)
+        self.register_buffer("basis", basis.float())
+
+    def encode(
+        self, points: Tensor, feature_type: Sequence[str] = ("dists",), chunk: int = 1 << 25
+    ) -> dict[str, Tensor]:
+        """Nearest of each cloud's points to every basis point, by brute force.
+
+        Args:
+            points: (B, N, 3) or (N, 3), centred where the basis is.
+            feature_type: any of "dists" (B, P) metres; "deltas" (B, P, 3) from basis point to nearest point;
+                "closest" (B, P, 3) the nearest points themselves.
+            chunk: distances held at a time.
+        """
+        if unknown := set(feature_type) - set(FEATURES):
+            raise ValueError(f"feature_type {sorted(unknown)} is not known; choose from {FEATURES}")
+        points = points if points.dim() == 3 else points.unsqueeze(0)
+        rows = max(1, chunk // max(1, len(self.basis) * points.shape[1]))
+        exact = "donot_use_mm_for_euclid_dist"  # the faster way by dot products is off by up to a millimetre
+        index = torch.cat(
+            [torch.cdist(self.basis.to(p.dtype), p, compute_mode=exact).argmin(-1) for p in points.split(rows)]
+        )
+        closest = points.gather(1, index.unsqueeze(-1).expand(-1, -1, 3))
+        deltas = closest - self.basis
+        features = {"dists": deltas.norm(dim=-1), "deltas": deltas, "closest": closest}
+        return {name: features[name] for name in feature_type}
+
+    def in_object_frame(self, rotations: Tensor, centroids: Tensor) -> Tensor:
+        """The basis (B, P, 3) as seen by objects of rotation (B, 3, 3) whose centroids (B, 3) lie at its origin."""
+        return self.basis @ rotations + centroids.unsqueeze(1)
+
+    def from_atlas(self, atlas: SDFAtlas, objects: Tensor, rotations: Tensor, centroids: Tensor) -> Tensor:
+        """Distances (B, P) from the basis to the surfaces of `objects` (B,) of an atlas.
+
+        Args:
+            rotations: (B, 3, 3) of the objects in the world, in which the basis is fixed.
+            centroids: (B, 3) of the objects in their own frames: the point that is centred in the basis.
+        """
+        return atlas(self.in_object_frame(rotations, centroids), objects).abs()
+
+    def from_mesh(self, query: MeshQuery, rotation: Tensor, centroid: Tensor) -> Tensor:
+        """Exact distances (P,) from the basis to one mesh's surface: what `from_atlas` approximates."""
+        basis = self.in_object_frame(rotation.unsqueeze(0), centroid.unsqueeze(0))[0]
+        return query.closest(basis).distance
