@@ -1,5 +1,6 @@
 """Build the open stand-ins for licensed data: hand, objects, grasps.
 
+    python scripts/build_open.py hand               # the open hand, right and left (needs anny)
     python scripts/build_open.py objects            # object meshes, in the layout of GRAB
     python scripts/build_open.py --help
 
@@ -15,6 +16,15 @@ from pathlib import Path
 from grabnet.errors import UserError
 
 
+def hand(arguments: argparse.Namespace) -> None:
+    from grabnet.open.hand.build import build_hands
+
+    report = build_hands(arguments.folder, n_adults=arguments.adults, seed=arguments.seed)
+    print(f"Wrote MANO_RIGHT.npz and MANO_LEFT.npz to {arguments.folder}; on adults left out of the fit:")
+    print(f"  joints {report.joint_error[0]:.2f} mm off on average, {report.joint_error[1]:.2f} mm at most;")
+    print(f"  vertices {report.shape_error[0]:.2f} mm off on average, {report.shape_error[1]:.2f} mm at most.")
+
+
 def objects(arguments: argparse.Namespace) -> None:
     from grabnet.open.objects.writing import write_objects
 
@@ -24,6 +34,12 @@ def objects(arguments: argparse.Namespace) -> None:
 def parser() -> argparse.ArgumentParser:
     main = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = main.add_subparsers(dest="command", required=True, metavar="hand | objects | grasps")
+
+    command = commands.add_parser("hand", help="the open hand, right and left, in MANO's schema")
+    command.add_argument("--folder", type=Path, default=Path("assets/open_hand"), help="(default: %(default)s)")
+    command.add_argument("--adults", type=int, default=400, help="hands sampled (default: %(default)s)")
+    command.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
+    command.set_defaults(run=hand)
 
     command = commands.add_parser("objects", help="mesh the open objects, one .ply each; those up to date are kept")
     command.add_argument("--root", type=Path, default=Path("data/open"), help="dataset folder (default: %(default)s)")

@@ -23,8 +23,8 @@ JOINTS = ("wrist", *(f"{finger}{k}" for finger in _MODEL_FINGERS for k in (1, 2,
 # thumb's pad towards the fingers (twist).
 _FINGER_LIMITS = {"mcp_flexion": (-0.35, 1.5), "mcp_abduction": (-0.3, 0.3), "pip": (0.0, 1.8), "dip": (0.0, 1.15)}
 _THUMB_LIMITS = {
-    "cmc_flexion": (-0.9, 0.9),
-    "cmc_abduction": (-0.9, 0.9),
+    "cmc_flexion": (-0.6, 0.9),
+    "cmc_abduction": (-0.7, 0.9),
     "cmc_twist": (-0.5, 0.9),
     "mcp": (-0.35, 1.0),
     "ip": (-0.35, 1.3),
