@@ -1,0 +1,93 @@
+"""Grasps: hands on one object, in the frame and units of the object's own mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from torch import Tensor
+
+from grabnet.body.anatomy import FINGERS
+from grabnet.body.hand import HandParameters
+from grabnet.geometry.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Grasps:
+    """N hands on `mesh`; tensors on the CPU.
+
+    Attributes:
+        mesh: the object, as in its file.
+        to_object: (4, 4) similarity from the mesh's frame and units to metres, z up.
+        side: "right" or "left".
+        seed: of the draw; grasp i of a seed is the same whatever N.
+        parameters: N poses of the hand model, along the axes of the mesh's frame and from its origin, but in metres
+            as hand models are: posed vertices times `units_per_metre` are `vertices`.
+        betas: (N, n) hand shapes.
+        object_transform: (N, 4, 4) from the mesh's frame to the world that each grasp was made in: metres, z up, turned
+            as the networks saw the object, origin at its centroid.
+        vertices: (N, V, 3) hands in the mesh's frame and units. faces: (F, 3), outward.
+        finger: (V,) index into `FINGERS`; -1 on palm and wrist.
+        distances: (N, V) metres from each hand vertex to the mesh's surface, negative inside; exact within 1 cm of it.
+        contact_distance: metres, below which a vertex is in contact (spec 4).
+    """
+
+    mesh: Mesh
+    to_object: np.ndarray
+    side: str
+    seed: int
+    parameters: HandParameters
+    betas: Tensor
+    object_transform: Tensor
+    vertices: Tensor
+    faces: Tensor
+    finger: Tensor
+    distances: Tensor
+    contact_distance: float = 0.0045
+
+    def __len__(self) -> int:
+        return len(self.vertices)
+
+    @property
+    def units_per_metre(self) -> float:
+        """How many of the mesh's units make a metre."""
+        return float(np.linalg.det(self.to_object[:3, :3]) ** (-1 / 3))
+
+    @property
+    def up(self) -> np.ndarray:
+        """(3,) the direction that points up in the mesh's frame, of length 1."""
+        return self.to_object[2, :3] * self.units_per_metre
+
+    @property
+    def max_penetration(self) -> Tensor:
+        """(N,) depth in metres of the deepest hand vertex inside the object; 0 where none is inside."""
+        return (-self.distances).amax(1).clamp_min(0)
+
+    @property
+    def mean_penetration(self) -> Tensor:
+        """(N,) metres: the mean depth over those hand vertices that are inside the object; 0 where none is inside."""
+        depth = (-self.distances).clamp_min(0)
+        return depth.sum(1) / (depth > 0).sum(1).clamp_min(1)
+
+    @property
+    def contact_vertices(self) -> Tensor:
+        """(N, 6) number of vertices in contact (inside counts) of each of `FINGERS`, then of palm and wrist."""
+        touching = (self.distances < self.contact_distance).long()
+        part = self.finger.remainder(len(FINGERS) + 1)  # -1, palm and wrist, comes last
+        return touching.new_zeros(len(self), len(FINGERS) + 1).index_add(1, part, touching)
+
+    def report(self) -> list[dict]:
+        """One record per grasp, ready for JSON: penetration in mm, contact vertices by finger, index and seed."""
+        rows = zip(
+            self.max_penetration.tolist(), self.mean_penetration.tolist(), self.contact_vertices.tolist(), strict=True
+        )
+        return [
+            {
+                "index": i,
+                "seed": self.seed,
+                "max_penetration_mm": round(deepest * 1000, 3),
+                "mean_penetration_mm": round(mean * 1000, 3),
+                "contact_vertices": dict(zip((*FINGERS, "palm"), counts, strict=True)),
+            }
+            for i, (deepest, mean, counts) in enumerate(rows)
+        ]
