@@ -19,8 +19,8 @@ _MODEL_FINGERS = ("index", "middle", "pinky", "ring", "thumb")  # MANO's order o
 # Joint k is the proximal end of phalanx k of its finger: index1 is the knuckle, thumb1 the base of the thumb (CMC).
 JOINTS = ("wrist", *(f"{finger}{k}" for finger in _MODEL_FINGERS for k in (1, 2, 3)))
 
-# Radians; positive bends towards the palm (flexion), towards the thumb's side of the hand (abduction), or turns the
-# thumb's pad towards the fingers (twist).
+# Radians. Positive flexion bends towards the palm; positive abduction leads a finger towards the thumb's side and the
+# thumb out of the palm's plane; positive twist turns the thumb's pad towards the fingers (opposition).
 _FINGER_LIMITS = {"mcp_flexion": (-0.35, 1.5), "mcp_abduction": (-0.3, 0.3), "pip": (0.0, 1.8), "dip": (0.0, 1.15)}
 _THUMB_LIMITS = {
     "cmc_flexion": (-0.6, 0.9),
@@ -36,7 +36,7 @@ _JOINT_OF_ANGLE = (0, 0, 1, 2)  # of a finger, counted from its first joint
 _JOINT_OF_THUMB_ANGLE = (0, 0, 0, 1, 2)
 
 # Flexion axis of the thumb along (distal, palmar, radial) of a right hand, before it is made perpendicular to the bone.
-# It can't be read off a straight thumb; measured on the open hand, whose thumb is modelled slightly curled.
+# A straight thumb doesn't tell it; this is how the open hand's thumb, modelled slightly curled, bends.
 _THUMB_FLEXION = (-0.28, 0.74, -0.62)
 
 
@@ -183,7 +183,9 @@ def _pads(
         first = JOINTS.index(f"{finger}1")
         ends = [*joints[first : first + 3], vertices[tips[f]]]
         for k in range(3):
-            inward = palmar if finger != "thumb" else torch.linalg.cross(axes[16], _unit(ends[k + 1] - ends[k]))
+            # The thumb's pads face sideways, where flexion carries them; its base is part of the palm.
+            sideways = finger == "thumb" and k > 0
+            inward = torch.linalg.cross(axes[16], _unit(ends[k + 1] - ends[k])) if sideways else palmar
             pads[f"{finger}{k + 1}"] = (bone == first + k) & (weight > 0.5) & (normals @ inward > 0.45)
     # Along the palm: 0 at the wrist, 1 at the knuckles. Across it: -1/2 at the knuckle of the pinky, 1/2 at the index.
     along, _, across = ((vertices - joints[0]) @ frame.T).unbind(-1)
