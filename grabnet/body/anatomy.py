@@ -20,12 +20,12 @@ _MODEL_FINGERS = ("index", "middle", "pinky", "ring", "thumb")  # MANO's order o
 JOINTS = ("wrist", *(f"{finger}{k}" for finger in _MODEL_FINGERS for k in (1, 2, 3)))
 
 # Radians. Positive flexion bends towards the palm; positive abduction leads a finger towards the thumb's side and the
-# thumb out of the palm's plane; positive twist turns the thumb's pad towards the fingers (opposition).
+# thumb out of the palm's plane; twist is right-handed about the thumb (left-handed on a left hand).
 _FINGER_LIMITS = {"mcp_flexion": (-0.35, 1.5), "mcp_abduction": (-0.3, 0.3), "pip": (0.0, 1.8), "dip": (0.0, 1.15)}
 _THUMB_LIMITS = {
     "cmc_flexion": (-0.6, 0.9),
     "cmc_abduction": (-0.7, 0.9),
-    "cmc_twist": (-0.5, 0.9),
+    "cmc_twist": (-0.7, 0.9),
     "mcp": (-0.35, 1.0),
     "ip": (-0.35, 1.3),
 }
