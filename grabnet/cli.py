@@ -9,9 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import hydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, MissingConfigException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, open_dict
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from grabnet.config import check
@@ -61,9 +62,12 @@ def _rehearse(config_name: str, arguments: list[str]) -> None:
                 first = next(iter(parsed.sweep_string_iterator()))
                 overrides[overrides.index(parsed.input_line)] = f"{parsed.input_line.split('=', 1)[0]}={first}"
         with hydra.initialize_config_dir(str(CONFIGS), version_base="1.3"):
-            cfg = hydra.compose(config_name, overrides, return_hydra_config=False)
+            cfg = hydra.compose(config_name, overrides, return_hydra_config=True)
+        HydraConfig.instance().set_config(cfg)  # for interpolations such as ${hydra:runtime.choices.model}
     except (HydraException, OmegaConfBaseException) as error:
         raise UserError(_sentence(error)) from None
+    with open_dict(cfg):
+        del cfg["hydra"]
     check(cfg)
 
 
@@ -80,8 +84,3 @@ def _sentence(error: Exception) -> str:
         where = (cause.full_key or "").rpartition(".")[0] or "the config"
         return f"Unknown key '{cause.full_key}' in {where}; {hint} has {', '.join(names)}."
     return " ".join(str(error).split())
-
-
-def as_dict(cfg: DictConfig) -> dict:
-    """The config as plain containers, interpolations resolved, ready for JSON."""
-    return OmegaConf.to_container(cfg, resolve=True)

@@ -18,8 +18,8 @@ _RESERVED = {"_target_", "_partial_", "_recursive_", "_convert_"}
 def check(cfg: DictConfig) -> None:
     """Raise a `UserError` for the first value that the class or function it is meant for would not take.
 
-    Every node with a `_target_` is held against that target's signature: unknown names, missing ones (unless
-    `_partial_`), and values whose type the annotation excludes.
+    Every node with a `_target_` is held against that target's signature: unknown names, and values whose type the
+    annotation excludes.
     """
     missing = OmegaConf.missing_keys(cfg)
     if missing:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 from torch.distributions import Normal
-from torch.nn import functional as F  # noqa: N812
+from torch.nn import functional as F
 
 from grabnet.body.hand import HandParameters
 from grabnet.geometry.bps import BPS

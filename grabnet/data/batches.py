@@ -1,0 +1,99 @@
+"""Training batches, assembled on the device from the frames store: geometry is recomputed, never stored (design 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from grabnet.body.hand import HandModel, HandParameters
+from grabnet.data.frames import Frames
+from grabnet.data.objects import ObjectSet
+from grabnet.geometry.bps import BPS
+from grabnet.geometry.rotations import about_z, axis_angle_to_matrix
+
+
+@dataclass(frozen=True)
+class GraspBatch:
+    """B hands on objects in the object-centred world frame, metres.
+
+    Attributes:
+        objects: (B,) into `object_set`. rotations: (B, 3, 3) object frame to world.
+        hand: true parameters. rest: (B, V, 3) rest vertices of each frame's subject. vertices: (B, V, 3) posed.
+        distances: (B, V) signed distance of each hand vertex to the object.
+        points: (B, P, 3) points on the object near the hand; point_distances: (B, P) their signed distances to it.
+        object_set: geometry of the objects.
+    """
+
+    objects: Tensor
+    rotations: Tensor
+    hand: HandParameters
+    rest: Tensor
+    vertices: Tensor
+    distances: Tensor
+    points: Tensor
+    point_distances: Tensor
+    object_set: ObjectSet
+
+    def __len__(self) -> int:
+        return len(self.objects)
+
+    def measure(self, vertices: Tensor) -> Tensor:
+        """Signed distances (B, N) of world points (B, N, 3) to each element's object."""
+        return self.object_set.distances(vertices, self.objects, self.rotations)
+
+    def features(self, bps: BPS) -> Tensor:
+        """(B, n_bps) distances from the basis points to each element's object."""
+        centroids = self.object_set.centroids[self.objects]
+        return bps.from_atlas(self.object_set.atlas, self.objects, self.rotations, centroids)
+
+
+class BatchAssembler(nn.Module):
+    """Makes a `GraspBatch` of chosen frames.
+
+    Args:
+        hand: the hand model.
+        v_template: (S, V, 3) rest vertices per subject.
+        object_set: geometry of the objects that the frames number.
+    """
+
+    def __init__(self, hand: HandModel, v_template: Tensor, object_set: ObjectSet):
+        super().__init__()
+        self.hand = hand
+        self.object_set = object_set
+        self.register_buffer("v_template", v_template, False)
+
+    def posed(self, frames: Frames) -> tuple[HandParameters, Tensor, Tensor]:
+        """True parameters, rest vertices and posed vertices of the frames."""
+        hand, rest = frames.hand(), self.v_template[frames.subject]
+        return hand, rest, self.hand(hand, rest).vertices
+
+    @torch.no_grad()
+    def forward(self, frames: Frames, near: Tensor, near_distances: Tensor, turn: bool) -> GraspBatch:
+        """Assemble.
+
+        Args:
+            frames: of the batch.
+            near: (B, P) surface samples of the object near the hand, into `object_set.points`.
+            near_distances: (B, P) their signed distances to the true hand.
+            turn: rotate each frame about the vertical by a random angle (training's augmentation).
+        """
+        hand, rest, vertices = self.posed(frames)
+        rotations = axis_angle_to_matrix(frames.object_orient)
+        if turn:
+            about = about_z(torch.rand(len(frames), device=rotations.device) * (2 * torch.pi))
+            rotations, vertices = about @ rotations, vertices @ about.mT
+            hand = self.hand.moved(hand, about, rest=rest)
+        points = self.object_set.points[frames.object.unsqueeze(1), near.long()] @ rotations.mT
+        return GraspBatch(
+            objects=frames.object,
+            rotations=rotations,
+            hand=hand,
+            rest=rest,
+            vertices=vertices,
+            distances=self.object_set.distances(vertices, frames.object, rotations),
+            points=points,
+            point_distances=near_distances.to(points.dtype),
+            object_set=self.object_set,
+        )

@@ -1,0 +1,200 @@
+"""The Lightning DataModule: loads a frames store once and hands out batches assembled on the device."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import lightning as L
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset, Sampler
+
+from grabnet.body.hand import HandModel
+from grabnet.data.batches import BatchAssembler, GraspBatch
+from grabnet.data.frames import Frames, FramesStore
+from grabnet.data.objects import ObjectSet
+from grabnet.data.targets import Targets, compute_targets
+from grabnet.errors import UserError
+
+SPLITS = ("train", "val", "test")
+OBJECT_MESHES = Path("tools/object_meshes/contact_meshes")  # GRAB's own layout
+
+
+class Preparation(Protocol):
+    """Makes the data that a DataModule reads when it is not there yet; called once, on one process."""
+
+    def __call__(self) -> None: ...
+
+
+class GraspDataModule(L.LightningDataModule):
+    """Frames of a store, split by object.
+
+    Args:
+        hand: the hand model that the frames' poses are for.
+        root: of the data set, laid out as GRAB is; the frames store is its folder `frames`.
+        objects_dir: folder with one mesh per object, `<name>.ply` (or .obj, .stl, …), in place of the data set's own.
+        val_objects, test_objects: names; every other object is for training (spec 3).
+        batch_size: frames per step.
+        object_points: surface samples per object.
+        near_points: of these, how many nearest to the hand enter the object→hand loss (published: all).
+        contact_distance: metres within which a hand vertex counts as touching (spec 4).
+        turn: rotate training frames about the vertical at random.
+        max_frames: use only so many training frames, evenly spaced; all when omitted.
+        cache_dir: for signed-distance grids; the user's cache folder when omitted.
+        seed: of sampling and shuffling.
+        prepare: makes store and objects where they are missing.
+    """
+
+    def __init__(
+        self,
+        hand: HandModel,
+        root: str,
+        val_objects: Sequence[str],
+        test_objects: Sequence[str],
+        objects_dir: str | None = None,
+        batch_size: int = 256,
+        object_points: int = 2048,
+        near_points: int = 128,
+        contact_distance: float = 0.0045,
+        turn: bool = True,
+        max_frames: int | None = None,
+        cache_dir: str | None = None,
+        seed: int = 0,
+        prepare: Preparation | None = None,
+    ):
+        super().__init__()
+        if near_points > object_points:
+            raise UserError(f"data.near_points={near_points} exceeds data.object_points={object_points}.")
+        self.hand, self.store_dir = hand, Path(root) / "frames"
+        self.objects_dir = Path(objects_dir) if objects_dir else Path(root) / OBJECT_MESHES
+        self.split_objects = {"val": set(val_objects), "test": set(test_objects)}
+        self.batch_size, self.object_points, self.near_points = batch_size, object_points, near_points
+        self.contact_distance, self.turn, self.max_frames = contact_distance, turn, max_frames
+        self.cache_dir, self.seed, self.prepare = cache_dir, seed, prepare
+        self.assembler: BatchAssembler | None = None
+        self.store: FramesStore | None = None
+        self._frames: dict[str, Frames] = {}
+        self._targets: dict[str, Targets] = {}
+
+    def prepare_data(self) -> None:
+        if self.prepare is not None:
+            self.prepare()
+
+    def setup(self, stage: str | None = None) -> None:
+        """Load the store and measure its frames; done once, whatever the stage."""
+        if self.assembler is not None:
+            return
+        self.store = FramesStore.load(self.store_dir)
+        objects = ObjectSet.load(
+            self.objects_dir,
+            self.store.objects,
+            n_points=self.object_points,
+            seed=self.seed,
+            cache_dir=self.cache_dir,
+        )
+        self.assembler = BatchAssembler(self.hand, self.store.v_template, objects)
+        for split in SPLITS:
+            frames = self.store.frames.select(self._members(split))
+            if not len(frames):
+                raise UserError(f"{self.store_dir} has no {split} frames: its objects are {', '.join(objects.names)}.")
+            self._frames[split] = frames
+            self._targets[split] = compute_targets(frames, self.assembler, self.near_points, self.contact_distance)
+
+    @property
+    def contact(self) -> Tensor:
+        """(V,) share of training frames in which each hand vertex touches the object."""
+        return self._targets["train"].contact
+
+    def frames(self, split: str) -> Frames:
+        """The frames of train, val or test."""
+        return self._frames[split]
+
+    def record(self) -> dict[str, Any]:
+        """What the data is, for a run's records."""
+        return {
+            "store": str(self.store_dir),
+            "objects_sha256": self.assembler.object_set.sha256,
+            "frames": {split: len(frames) for split, frames in self._frames.items()},
+            "provenance": self.store.card["provenance"],
+        }
+
+    def train_dataloader(self) -> DataLoader:
+        return self.loader("train", shuffle=True)
+
+    def val_dataloader(self) -> DataLoader:
+        return self.loader("val")
+
+    def test_dataloader(self) -> list[DataLoader]:
+        """All three splits: the paper reports its errors for each."""
+        return [self.loader(split) for split in SPLITS]
+
+    def loader(self, split: str, shuffle: bool = False) -> DataLoader:
+        """Batches of frame numbers; `on_after_batch_transfer` makes `GraspBatch`es of them on the device.
+
+        No workers: there is nothing to load, so that a step waits for no other process.
+        """
+        batches = IndexBatches(len(self._frames[split]), self.batch_size, shuffle, self.seed)
+        return DataLoader(_FrameNumbers(split), sampler=batches, batch_size=None)
+
+    def on_after_batch_transfer(self, batch: tuple[str, Tensor, int], dataloader_idx: int) -> GraspBatch:
+        split, index, seed = batch
+        torch.manual_seed(seed)  # all noise of the step follows from it, so that a resumed run repeats it
+        return self.assemble(split, index, turn=self.turn and self.trainer is not None and self.trainer.training)
+
+    def assemble(self, split: str, index: Tensor, turn: bool = False) -> GraspBatch:
+        """The frames `index` of a split as a batch on `index`'s device."""
+        frames, targets = self._frames[split], self._targets[split]
+        if frames.transl.device != index.device:
+            frames = self._frames[split] = frames.to(index.device)
+            targets = self._targets[split] = targets.to(index.device)
+            self.assembler.to(index.device)
+        return self.assembler(frames.select(index), targets.near[index], targets.near_distances[index], turn)
+
+    def _members(self, split: str) -> Tensor:
+        """Frame numbers of a split."""
+        names = self.store.objects
+        held_out = set.union(*self.split_objects.values())
+        chosen = [n not in held_out if split == "train" else n in self.split_objects[split] for n in names]
+        members = torch.tensor(chosen)[self.store.frames.object].nonzero().squeeze(1)
+        if split == "train" and self.max_frames is not None and self.max_frames < len(members):
+            members = members[torch.linspace(0, len(members) - 1, self.max_frames).long()]
+        return members
+
+
+class IndexBatches(Sampler[tuple[Tensor, int]]):
+    """Batches of numbers 0 … n - 1, each with a seed for its step's noise.
+
+    In order and complete, or shuffled anew each epoch with the short last one dropped. All follows from seed and epoch
+    alone, so that a resumed run goes on as an unbroken one would.
+    """
+
+    def __init__(self, n: int, batch_size: int, shuffle: bool, seed: int):
+        self.n, self.batch_size, self.shuffle, self.seed = n, min(batch_size, n), shuffle, seed
+        self.epoch = 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Called by Lightning before each epoch."""
+        self.epoch = epoch
+
+    def __len__(self) -> int:
+        return self.n // self.batch_size if self.shuffle else -(-self.n // self.batch_size)
+
+    def __iter__(self) -> Iterator[tuple[Tensor, int]]:
+        order = torch.arange(self.n)
+        if self.shuffle:
+            order = torch.randperm(self.n, generator=torch.Generator().manual_seed(hash((self.seed, self.epoch))))
+        for k in range(len(self)):
+            yield order[k * self.batch_size : (k + 1) * self.batch_size], hash((self.seed, self.epoch, k))
+
+
+class _FrameNumbers(Dataset):
+    """Passes a batch of frame numbers and its seed through, labelled with its split."""
+
+    def __init__(self, split: str):
+        self.split = split
+
+    def __getitem__(self, batch: tuple[Tensor, int]) -> tuple[str, Tensor, int]:
+        index, seed = batch
+        return self.split, index, seed

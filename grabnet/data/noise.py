@@ -1,0 +1,32 @@
+"""What RefineNet learns to correct: noisy versions of true grasps (paper S.9.2, spec 7)."""
+
+from __future__ import annotations
+
+import torch
+
+from grabnet.body.hand import HandParameters
+from grabnet.geometry.rotations import axis_angle_to_matrix
+
+
+class PoseNoise:
+    """Independent Gaussian noise on finger joints, wrist rotation and translation.
+
+    Args:
+        finger, wrist: standard deviation per axis of a rotation vector composed with the joint's rotation, radians.
+        transl: standard deviation per coordinate, metres.
+    """
+
+    def __init__(self, finger: float, wrist: float, transl: float):
+        self.finger, self.wrist, self.transl = finger, wrist, transl
+
+    def __call__(self, hand: HandParameters) -> HandParameters:
+        """A noisy copy of a batch of hands, from torch's global generator."""
+        return HandParameters(
+            hand.global_orient @ _random_turn(hand.global_orient, self.wrist),
+            hand.hand_pose @ _random_turn(hand.hand_pose, self.finger),
+            hand.transl + self.transl * torch.randn_like(hand.transl),
+        )
+
+
+def _random_turn(rotations: torch.Tensor, deviation: float) -> torch.Tensor:
+    return axis_angle_to_matrix(deviation * torch.randn_like(rotations[..., 0]))

@@ -1,0 +1,76 @@
+"""The objects of a data set: meshes, their centroids, surface samples and signed distances, indexed by number."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from rich.progress import track
+from torch import Tensor, nn
+
+from grabnet.errors import UserError
+from grabnet.files import existing, sha256
+from grabnet.geometry.atlas import SDFAtlas, SDFGrid
+from grabnet.geometry.mesh import Mesh, load_mesh
+
+MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf")
+
+
+class ObjectSet(nn.Module):
+    """Geometry of `names`, in that order.
+
+    Args:
+        names: of the objects.
+        meshes: one each, metres, in the object's own frame.
+        n_points: surface points sampled per object (spec 2: 2048).
+        seed: of the sampling.
+        cache_dir: where signed-distance grids are kept; the user's cache folder when omitted.
+
+    Attributes:
+        centroids (O, 3): mean of the mesh vertices (spec 3), object frame.
+        points (O, n_points, 3): surface samples, object frame, relative to the centroid.
+        atlas: signed distances.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        meshes: Sequence[Mesh],
+        n_points: int = 2048,
+        seed: int = 0,
+        cache_dir: str | Path | None = None,
+    ):
+        super().__init__()
+        self.names = list(names)
+        self.sha256 = sha256(*(mesh.sha256 for mesh in meshes))
+        centroids = torch.stack([torch.as_tensor(mesh.centroid, dtype=torch.float32) for mesh in meshes])
+        points = [torch.as_tensor(mesh.sample_surface(n_points, seed)[0], dtype=torch.float32) for mesh in meshes]
+        self.register_buffer("centroids", centroids, False)
+        self.register_buffer("points", torch.stack(points) - centroids.unsqueeze(1), False)
+        grids = [
+            SDFGrid.load_or_build(mesh, cache_dir)
+            for mesh in track(meshes, "Signed distances of the objects", transient=True)
+        ]
+        self.atlas = SDFAtlas(grids)
+
+    @classmethod
+    def load(cls, folder: str | Path, names: Sequence[str], **options) -> ObjectSet:
+        """Read `<folder>/<name>.<ply, obj, …>` for each name.
+
+        Raises:
+            UserError: no such folder, an object without a mesh, or an unreadable mesh.
+        """
+        folder = existing(folder, "Object folder (objects.dir)")
+        files = {p.stem: p for p in sorted(folder.iterdir()) if p.suffix.lower() in MESH_SUFFIXES}
+        if missing := [name for name in names if name not in files]:
+            raise UserError(f"{folder} has no mesh for {', '.join(missing)}; it has {', '.join(files) or 'none'}.")
+        return cls(names, [load_mesh(files[name]) for name in names], **options)
+
+    def to_object(self, points: Tensor, objects: Tensor, rotations: Tensor) -> Tensor:
+        """World points (B, N, 3) around objects (B,) turned by rotations (B, 3, 3) → the objects' own frames."""
+        return points @ rotations + self.centroids[objects].unsqueeze(1)
+
+    def distances(self, points: Tensor, objects: Tensor, rotations: Tensor) -> Tensor:
+        """Signed distances (B, N) in metres of world points (B, N, 3); arguments as in `to_object`."""
+        return self.atlas(self.to_object(points, objects, rotations), objects)

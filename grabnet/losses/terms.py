@@ -1,0 +1,57 @@
+"""The terms of the training losses (paper 5.1, spec 7), each a small function; all return a scalar."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.distributions import Normal
+
+
+def kl_to_standard_normal(posterior: Normal) -> Tensor:
+    """KL(q ‖ N(0, 1)) summed over latent dimensions, averaged over the batch; closed form."""
+    mean, variance = posterior.mean, posterior.variance
+    return 0.5 * (mean.square() + variance - variance.log() - 1).sum(-1).mean()
+
+
+def vertex_l1(vertices: Tensor, true: Tensor, weight: Tensor) -> Tensor:
+    """Mean over batch, vertices and coordinates of |Δ| (B, V, 3), weighted per vertex (V,)."""
+    return ((vertices - true).abs() * weight.unsqueeze(-1)).mean()
+
+
+def edge_l1(vertices: Tensor, true: Tensor, edges: Tensor) -> Tensor:
+    """Mean |Δ| between the mesh's edge vectors and the true ones; edges (E, 2) int64."""
+    difference = vertices - true
+    return (difference[:, edges[:, 0]] - difference[:, edges[:, 1]]).abs().mean()
+
+
+def hand_to_object_l1(distances: Tensor, true: Tensor, weight: Tensor) -> Tensor:
+    """Mean |Δ| of hand→object distances (B, V), weighted per vertex (V,)."""
+    return ((distances - true).abs() * weight).mean()
+
+
+def object_to_hand_l1(distances: Tensor, true: Tensor, weights: PointWeights) -> Tensor:
+    """Mean |Δ| of object→hand signed distances (B, P), weighted by where they lie."""
+    return ((distances - true).abs() * weights(distances.detach(), true)).mean()
+
+
+class PointWeights:
+    """Weights of object points: 1 near the true hand, `far` elsewhere, `penetrating` where the prediction is inside.
+
+    Args:
+        near: (lowest, highest) true signed distance that counts as near, metres.
+        far, penetrating: weights.
+    """
+
+    def __init__(self, near: tuple[float, float] = (-0.005, 0.010), far: float = 0.1, penetrating: float = 1.5):
+        self.near, self.far, self.penetrating = tuple(near), far, penetrating
+
+    def __call__(self, distances: Tensor, true: Tensor) -> Tensor:
+        weights = torch.full_like(true, self.far)
+        weights[(true > self.near[0]) & (true < self.near[1])] = 1.0
+        weights[distances < 0] = self.penetrating
+        return weights
+
+
+def unique_edges(faces: Tensor) -> Tensor:
+    """(F, 3) faces → (E, 2) each edge once."""
+    return torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).sort(1).values.unique(dim=0)

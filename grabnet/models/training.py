@@ -1,0 +1,162 @@
+"""LightningModules: one step of each network, with its losses and the errors reported in the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import lightning as L
+import torch
+from torch import Tensor, nn
+
+from grabnet.body.hand import HandModel, HandParameters
+from grabnet.data.batches import GraspBatch
+from grabnet.data.datamodule import SPLITS
+from grabnet.geometry.bps import BPS
+from grabnet.losses.grasp import CoarseNetLoss, RefineNetLoss
+from grabnet.models.coarsenet import CoarseNet
+from grabnet.models.refinenet import RefineNet
+
+MakeOptimizer = Callable[[Iterable[nn.Parameter]], torch.optim.Optimizer]
+MakeScheduler = Callable[[torch.optim.Optimizer], Any]
+
+
+class GraspTraining(L.LightningModule):
+    """What training either network shares.
+
+    Args:
+        network: to train.
+        loss: its terms.
+        hand: poses predictions.
+        optimizer: makes an optimizer of the parameters.
+        scheduler: makes a learning-rate schedule of an optimizer, stepped once an epoch.
+    """
+
+    def __init__(
+        self, network: nn.Module, loss: nn.Module, hand: HandModel, optimizer: MakeOptimizer, scheduler: MakeScheduler
+    ):
+        super().__init__()
+        self.network, self.loss, self.hand = network, loss, hand
+        self.make_optimizer, self.make_scheduler = optimizer, scheduler
+
+    def configure_optimizers(self) -> dict[str, Any]:
+        optimizer = self.make_optimizer(self.network.parameters())
+        schedule = {"scheduler": self.make_scheduler(optimizer), "monitor": "val/loss", "interval": "epoch"}
+        return {"optimizer": optimizer, "lr_scheduler": schedule}
+
+    def reconstruct(self, batch: GraspBatch) -> tuple[Tensor, dict[str, Tensor]]:
+        """Predicted vertices (B, V, 3) and the weighted loss terms of a batch."""
+        raise NotImplementedError
+
+    def training_step(self, batch: GraspBatch, batch_idx: int) -> Tensor:
+        _, terms = self.reconstruct(batch)
+        loss = torch.stack(list(terms.values())).sum()
+        self._log_terms("train", terms, loss, batch)
+        return loss
+
+    def validation_step(self, batch: GraspBatch, batch_idx: int) -> None:
+        self._evaluate("val", batch)
+
+    def test_step(self, batch: GraspBatch, batch_idx: int, dataloader_idx: int = 0) -> None:
+        self._evaluate(f"test/{SPLITS[dataloader_idx]}", batch)
+
+    def _evaluate(self, stage: str, batch: GraspBatch) -> None:
+        vertices, terms = self.reconstruct(batch)
+        self._log_terms(stage, terms, torch.stack(list(terms.values())).sum(), batch)
+        for name, value in reconstruction_errors(vertices, batch.vertices).items():
+            self._log(f"{stage}/{name}", value, batch)
+
+    def _log_terms(self, stage: str, terms: dict[str, Tensor], loss: Tensor, batch: GraspBatch) -> None:
+        for name, value in terms.items():
+            self._log(f"{stage}/{name}", value.detach(), batch)
+        self._log(f"{stage}/loss", loss.detach(), batch, prog_bar=True)
+
+    def _log(self, name: str, value: Tensor, batch: GraspBatch, **options: Any) -> None:
+        self.log(
+            name,
+            value,
+            on_step=False,
+            on_epoch=True,
+            batch_size=len(batch),
+            add_dataloader_idx=False,
+            sync_dist=True,
+            **options,
+        )
+
+
+class CoarseNetTraining(GraspTraining):
+    """Trains CoarseNet to reconstruct grasps from its posterior.
+
+    Args:
+        hand: the hand model. contact: (V,) share of training frames in which each vertex touches.
+        bps, latent_dim, width, n_hidden: of the network.
+        loss: makes the loss, given hand and contact.
+        optimizer, scheduler: as in `GraspTraining`.
+    """
+
+    network: CoarseNet
+    loss: CoarseNetLoss
+
+    def __init__(
+        self,
+        hand: HandModel,
+        contact: Tensor,
+        bps: BPS,
+        latent_dim: int,
+        width: int,
+        n_hidden: int,
+        loss: Callable[..., CoarseNetLoss],
+        optimizer: MakeOptimizer,
+        scheduler: MakeScheduler,
+    ):
+        network = CoarseNet(bps, latent_dim, width, n_hidden, n_joints=len(hand.parents))
+        super().__init__(network, loss(hand=hand, contact=contact), hand, optimizer, scheduler)
+
+    def reconstruct(self, batch: GraspBatch) -> tuple[Tensor, dict[str, Tensor]]:
+        hand, posterior = self.network(batch.features(self.network.bps), batch.hand.global_orient, batch.hand.transl)
+        vertices = self.hand(hand, batch.rest).vertices
+        return vertices, self.loss(vertices, batch, posterior)
+
+
+class RefineNetTraining(GraspTraining):
+    """Trains RefineNet to undo disturbances of true grasps.
+
+    Args:
+        hand: the hand model. contact: (V,) share of training frames in which each vertex touches.
+        iterations, width, n_hidden, dropout: of the network.
+        disturb: a batch of true hands → what RefineNet starts from.
+        loss: makes the loss, given hand and contact.
+        optimizer, scheduler: as in `GraspTraining`.
+    """
+
+    network: RefineNet
+    loss: RefineNetLoss
+
+    def __init__(
+        self,
+        hand: HandModel,
+        contact: Tensor,
+        iterations: int,
+        width: int,
+        n_hidden: int,
+        dropout: float,
+        disturb: Callable[[HandParameters], HandParameters],
+        loss: Callable[..., RefineNetLoss],
+        optimizer: MakeOptimizer,
+        scheduler: MakeScheduler,
+    ):
+        network = RefineNet(hand, iterations, width, n_hidden, dropout)
+        super().__init__(network, loss(hand=hand, contact=contact), hand, optimizer, scheduler)
+        self.disturb = disturb
+
+    def reconstruct(self, batch: GraspBatch) -> tuple[Tensor, dict[str, Tensor]]:
+        hand = self.network(self.disturb(batch.hand), batch.measure, batch.rest)
+        vertices = self.hand(hand, batch.rest).vertices
+        return vertices, self.loss(vertices, batch)
+
+
+def reconstruction_errors(vertices: Tensor, true: Tensor) -> dict[str, Tensor]:
+    """`v2v`, the mean Euclidean distance, and `v2v_mae`, the mean |Δ| per coordinate (what the released evaluation
+    averages), both in mm (spec 9)."""
+    difference = vertices - true
+    return {"v2v": 1000 * difference.norm(dim=-1).mean(), "v2v_mae": 1000 * difference.abs().mean()}

@@ -1,0 +1,64 @@
+"""A tiny data set in GRAB's layout: primitives instead of objects, random hands instead of grasps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+import trimesh
+
+from grabnet.body.hand import HandModel
+from grabnet.data.datamodule import OBJECT_MESHES
+from grabnet.data.frames import finish_store, write_shard
+from grabnet.files import replacing
+
+TINY_OBJECTS = {
+    "ball": lambda: trimesh.creation.icosphere(3, 0.035),
+    "block": lambda: trimesh.creation.box((0.05, 0.06, 0.08)).subdivide().subdivide(),
+    "can": lambda: trimesh.creation.cylinder(0.03, 0.12),
+    "ring": lambda: trimesh.creation.torus(0.04, 0.012),
+}
+
+
+def write_tiny_dataset(root: Path, frames_per_sequence: int = 24, subjects: int = 2) -> Path:
+    """Hands about 10 cm from each of four primitives, in two subjects' shapes."""
+    hand = HandModel.open()
+    generator = torch.Generator().manual_seed(0)
+    v_template = {f"s{k + 1}": hand.shaped(torch.randn(10, generator=generator)) for k in range(subjects)}
+    for name, make in TINY_OBJECTS.items():
+        with replacing(root / OBJECT_MESHES / f"{name}.ply") as temporary:
+            temporary.write_bytes(make().export(file_type="ply"))
+        for subject in v_template:
+
+            def noise(*shape: int, size: float = 1.0) -> torch.Tensor:
+                return size * torch.randn(frames_per_sequence, *shape, generator=generator)
+
+            values = {
+                "global_orient": noise(3, size=0.3),
+                "hand_pose": noise(45, size=0.2),
+                "transl": torch.tensor([0.0, 0.05, 0.0]) + noise(3, size=0.01),
+                "object_orient": noise(3, size=0.3),
+                "frame": torch.arange(frames_per_sequence),
+            }
+            write_shard(root / "frames", f"{subject}/{name}_lift_1", subject, name, values, intent="lift")
+    finish_store(root / "frames", v_template, TINY_OBJECTS, {"source": "random hands around primitives"})
+    return root
+
+
+@pytest.fixture(scope="session")
+def cache_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One cache of signed-distance grids for the whole test run."""
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(scope="session")
+def tiny_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Root of the tiny data set; not to be written to."""
+    return write_tiny_dataset(tmp_path_factory.mktemp("tiny"))
+
+
+@pytest.fixture(scope="session")
+def hand() -> HandModel:
+    """The open right hand."""
+    return HandModel.open()
