@@ -1,9 +1,8 @@
-"""Exact distances from points to a mesh, on the CPU or an NVIDIA GPU, whichever holds the points."""
+"""Exact distances from points to a mesh."""
 
 from __future__ import annotations
 
 import math
-from contextlib import AbstractContextManager, nullcontext
 from typing import NamedTuple
 
 import torch
@@ -12,6 +11,7 @@ from torch import Tensor
 
 from grabnet.geometry import kernels
 from grabnet.geometry.mesh import Mesh
+from grabnet.geometry.warping import launch
 
 
 class Closest(NamedTuple):
@@ -49,35 +49,26 @@ class MeshQuery:
 
     def signed_distance(self, points: Tensor, max_distance: float = math.inf) -> Tensor:
         """Distances (N,) of points (N, 3) to the surface, negative inside; +inf beyond `max_distance`, in or out."""
-        distance = self._full(points, math.inf)
-        self._launch(kernels.signed_distance, points, max_distance, distance)
+        points = _prepared(points)
+        distance = points.new_full((len(points),), math.inf)
+        launch(kernels.signed_distance, [points, distance], [self._mesh.id, max_distance])
         return distance
 
     def closest(self, points: Tensor, max_distance: float = math.inf) -> Closest:
         """Nearest surface point of each of points (N, 3), not further than `max_distance`; a small one is faster."""
-        distance = self._full(points, math.inf)
-        position = torch.full_like(points, math.nan, dtype=torch.float32)
-        face = self._full(points, -1, torch.int32)
-        self._launch(kernels.closest_point, points, max_distance, distance, position, face)
+        points = _prepared(points)
+        distance = points.new_full((len(points),), math.inf)
+        position = torch.full_like(points, math.nan)
+        face = torch.full_like(distance, -1, dtype=torch.int32)
+        launch(kernels.closest_point, [points, distance, position, face], [self._mesh.id, max_distance])
         return Closest(position, distance, face.long())
 
     def distance_within(self, points: Tensor, bounds: Tensor) -> Tensor:
-        """Unsigned distances (N,), each known beforehand to be less than its bound (N,): the fastest query."""
+        """Unsigned distances (N,), each sought no further than its bound (N,), which is returned where it is less."""
         distance = bounds.clone()
-        self._launch(kernels.distance_within, points, wp.from_torch(bounds), distance)
+        launch(kernels.distance_within, [_prepared(points), distance], [self._mesh.id])
         return distance
 
-    def _full(self, points: Tensor, value: float, dtype: torch.dtype = torch.float32) -> Tensor:
-        return torch.full((len(points),), value, dtype=dtype, device=self.device)
 
-    def _launch(self, kernel: wp.Kernel, points: Tensor, bound: float | wp.array, *outputs: Tensor) -> None:
-        arrays = [wp.from_torch(x, dtype=wp.vec3 if x.dim() == 2 else None) for x in outputs]
-        points = wp.from_torch(points.detach().float().contiguous(), dtype=wp.vec3)
-        with self._torch_stream():
-            wp.launch(kernel, len(points), [self._mesh.id, points, bound, *arrays], device=self._mesh.device)
-
-    def _torch_stream(self) -> AbstractContextManager:
-        """On a GPU, queue the kernel behind the torch work that made its input."""
-        if self.device.type != "cuda":
-            return nullcontext()
-        return wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream(self.device)))
+def _prepared(points: Tensor) -> Tensor:
+    return points.detach().float().contiguous()

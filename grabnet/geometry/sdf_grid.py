@@ -19,8 +19,6 @@ from grabnet.geometry.mesh import Mesh
 
 # Part of the cache key: raise it when the same mesh and config would give other values.
 FORMAT = 1
-# Numbers of cells per axis are multiples of this: the sparse lattice that sampling starts from.
-STRIDE = 8
 
 
 @dataclass(frozen=True)
@@ -33,7 +31,8 @@ class AtlasConfig:
     coarse_pad: float = 0.06  # coarse box beyond the mesh
     coarse_radius: float = 0.16  # and at least this far from the centroid: the BPS ball of 15 cm fits in any rotation
     exact_zone: float = 0.005  # nodes closer than this to the surface are queried exactly
-    doubt: float = 0.02  # others are interpolated unless two predictions differ by this share of the distance
+    stride: int = 4  # nodes between those of the first, exact lattice: a power of 2
+    doubt: float = 0.01  # nodes beyond the zone are interpolated unless two predictions differ by this share of them
 
 
 @dataclass(frozen=True)
@@ -75,9 +74,9 @@ class SDFGrid:
         }
         levels = []
         for nodes, (low, high) in boxes.items():
-            origin, spacing, dims = _lattice(low, high, nodes)
+            origin, spacing, dims = _lattice(low, high, nodes, config.stride)
             zone = max(config.exact_zone, 2 * spacing)
-            values = sample(query, origin.to(device), spacing, dims, zone, config.doubt)
+            values = sample(query, origin.to(device), spacing, dims, config.stride, zone, config.doubt)
             levels.append(Level(tuple(origin.tolist()), spacing, values.cpu().half()))
         return cls(*levels)
 
@@ -136,11 +135,11 @@ def default_cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "grabnet"
 
 
-def _lattice(low: np.ndarray, high: np.ndarray, nodes: int) -> tuple[Tensor, float, tuple[int, int, int]]:
-    """Origin, spacing and dims of the finest cubic lattice over the box that has at most `nodes` nodes."""
+def _lattice(low: np.ndarray, high: np.ndarray, nodes: int, stride: int) -> tuple[Tensor, float, tuple[int, int, int]]:
+    """Origin, spacing and dims of the finest lattice of cubes over the box with at most `nodes` nodes."""
     sides = (high - low).astype(np.float64)
     spacing = (np.prod(sides) / nodes) ** (1 / 3)
-    while np.prod((cells := np.ceil(sides / (spacing * STRIDE)) * STRIDE) + 1) > nodes:
+    while np.prod((cells := np.ceil(sides / (spacing * stride)) * stride) + 1) > nodes:
         spacing *= 1.002
     origin = (low + high) / 2 - spacing * cells / 2
     return torch.tensor(origin, dtype=torch.float32), float(spacing), tuple(int(n) + 1 for n in cells)

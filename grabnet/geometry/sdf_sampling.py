@@ -12,15 +12,22 @@ from torch import Tensor
 
 from grabnet.geometry.queries import MeshQuery
 
-STRIDE = 8  # of the first, exact lattice
 
-
-def sample(query: MeshQuery, origin: Tensor, spacing: float, dims: tuple[int, int, int], zone: float, doubt: float):
+def sample(
+    query: MeshQuery,
+    origin: Tensor,
+    spacing: float,
+    dims: tuple[int, int, int],
+    stride: int,
+    zone: float,
+    doubt: float,
+) -> Tensor:
     """Signed distance at the nodes of a lattice.
 
     Args:
         origin: (3,) position of the first node.
-        dims: nodes along x, y, z, each 1 more than a multiple of `STRIDE`.
+        dims: nodes along x, y, z, each 1 more than a multiple of `stride`.
+        stride: of the first, exact lattice, a power of 2.
         zone: nodes closer than this to the surface are all exact; at least one spacing's diagonal.
         doubt: elsewhere a node is interpolated if linear and cubic prediction differ by less than this share of its
             distance.
@@ -28,9 +35,8 @@ def sample(query: MeshQuery, origin: Tensor, spacing: float, dims: tuple[int, in
     Returns:
         (nx, ny, nz) float32 distances, negative inside.
     """
-    stride = STRIDE
-    distance = query.signed_distance(_nodes(origin, spacing * stride, [(n - 1) // stride + 1 for n in dims]))
-    distance = distance.view([(n - 1) // stride + 1 for n in dims])
+    sparse = [(n - 1) // stride + 1 for n in dims]
+    distance = query.signed_distance(_nodes(origin, spacing * stride, sparse)).view(sparse)
     while stride > 1:
         stride //= 2
         distance = _halved(query, distance, origin, spacing * stride, zone, doubt)
