@@ -42,7 +42,7 @@ def save_network(path: str | Path, network: CoarseNet | RefineNet, provenance: d
 def load_coarsenet(path: str | Path) -> CoarseNet:
     """CoarseNet in eval mode from a run folder or a `model.safetensors`."""
     sizes, tensors = _read(path, "CoarseNet")
-    bps = BPS(basis=tensors["bps.basis"])
+    bps = BPS(len(tensors["bps.basis"]))  # its points are among the tensors
     return _filled(CoarseNet(bps, **sizes), tensors, path)
 
 
