@@ -166,9 +166,10 @@ def _axes(joints: Tensor, thumb_tip: Tensor, frame: Tensor, is_right: bool) -> T
         abduction = -palmar if is_right else palmar
         axes += [flexion, abduction, flexion, flexion]
     along = _unit(joints[14] - joints[13])
-    flexion = frame.new_tensor(_THUMB_FLEXION) @ frame * (1 if is_right else -1)
+    side = 1 if is_right else -1
+    flexion = side * frame.new_tensor(_THUMB_FLEXION) @ frame
     flexion = _unit(flexion - (flexion @ along) * along)
-    axes += [flexion, torch.linalg.cross(along, flexion), along, flexion, flexion]
+    axes += [flexion, side * torch.linalg.cross(along, flexion), side * along, flexion, flexion]
     return torch.stack(axes)
 
 

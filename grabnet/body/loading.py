@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,7 @@ def read_model(path: str | Path) -> dict[str, np.ndarray]:
         `is_right`, read off the file name as the field does.
 
     Raises:
-        UserError: unreadable file, missing or misshapen array.
+        UserError: unreadable file; missing, misshapen or not finite array; faces that name no vertex.
     """
     path = existing(path, "Hand model")
     model = read_npz(path)
@@ -39,8 +40,8 @@ def read_model(path: str | Path) -> dict[str, np.ndarray]:
     parents = model.pop("kintree_table")[0].astype(np.int64)
     parents[0] = -1  # stored as 2³² - 1
     faces = model.pop("f").astype(np.int64)
-    if faces.min() < 0 or faces.max() >= len(model["v_template"]):
-        raise UserError(f"{path}: its faces name vertices beyond the {len(model['v_template'])} it has.")
+    if not faces.size or faces.min() < 0 or faces.max() >= len(model["v_template"]):
+        raise UserError(f"{path}: its {len(faces)} faces don't name vertices 0 … {len(model['v_template']) - 1}.")
     arrays = {k: v.astype(np.float32) for k, v in model.items() if k in _SHAPES}
     return arrays | {"faces": faces, "parents": parents, "is_right": np.array("LEFT" not in path.stem.upper())}
 
@@ -52,16 +53,19 @@ def read_npz(path: str | Path) -> dict[str, np.ndarray]:
         UserError: not an npz file, or it holds pickled objects.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        archive = np.load(path, allow_pickle=False)
+        if not isinstance(archive, np.lib.npyio.NpzFile):
+            raise ValueError("it holds a single array")
+        with archive:
             return {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
         if "pickle" in str(error):
             raise UserError(f"{path} holds pickled Python objects, which are not loaded: save plain arrays.") from None
         raise UserError(f"{path} is not a readable .npz file ({error}).") from None
 
 
 def check_shapes(path: str | Path, arrays: dict[str, np.ndarray], shapes: dict[str, tuple[int | str, ...]]) -> None:
-    """Raise a `UserError` unless each array has its shape; equal letters must stand for equal sizes."""
+    """Raise a `UserError` unless each array holds finite numbers in its shape; equal letters stand for equal sizes."""
     if missing := sorted(shapes.keys() - arrays.keys()):
         raise UserError(f"{path} lacks {', '.join(missing)}: it is no hand model in MANO's schema.")
     sizes: dict[str, int] = {}
@@ -73,3 +77,5 @@ def check_shapes(path: str | Path, arrays: dict[str, np.ndarray], shapes: dict[s
         if not fits:
             expected = tuple(sizes.get(s, s) if isinstance(s, str) else s for s in shape)
             raise UserError(f"{path}: {name} has shape {actual}, expected {expected}.")
+        if arrays[name].dtype.kind not in "fiu" or not np.isfinite(arrays[name]).all():
+            raise UserError(f"{path}: {name} holds values that are not finite numbers.")
