@@ -36,7 +36,7 @@ def train(cfg: DictConfig) -> dict[str, float]:
     with replacing(run_dir / "config.yaml") as temporary:
         OmegaConf.save(cfg, temporary, resolve=True)
 
-    hand = instantiate(cfg.hand)
+    hand = instantiate(cfg.hand_model)
     data: GraspDataModule = instantiate(cfg.data, hand=hand)
     data.prepare_data()
     data.setup()
