@@ -11,7 +11,7 @@ from pathlib import Path
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import HydraException, MissingConfigException
+from hydra.errors import HydraException, InstantiationException, MissingConfigException
 from omegaconf import DictConfig, open_dict
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
@@ -31,6 +31,10 @@ def hydra_entry(config_name: str) -> Callable[[Callable[[DictConfig], object]], 
                 return main(cfg)
             except UserError as error:
                 fail(error)
+            except InstantiationException as error:  # how Hydra passes on what a constructor raised
+                if not isinstance(error.__cause__, UserError):
+                    raise
+                fail(error.__cause__)
 
         def entry() -> None:
             try:
@@ -78,7 +82,7 @@ def _sentence(error: Exception) -> str:
         return f"There is no {group} '{name}'; {group} can be {', '.join(options)}."
     cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
     if isinstance(cause, ConfigAttributeError | ConfigKeyError) and cause.parent_node is not None:
-        names = [str(k) for k in cause.parent_node]
+        names = [str(k) for k in cause.parent_node if k not in ("hydra", "_target_")]
         close = difflib.get_close_matches(str(cause.key), names, n=1)
         hint = f"did you mean {close[0]}? It" if close else "it"
         where = (cause.full_key or "").rpartition(".")[0] or "the config"

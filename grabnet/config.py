@@ -54,7 +54,8 @@ def _check_target(node: DictConfig, path: str) -> None:
         value = node[key]
         if key in hints and not isinstance(value, DictConfig) and not _fits(value, hints[key]):
             wanted = getattr(hints[key], "__name__", str(hints[key]))
-            raise UserError(f"{path}.{key}={value!r} is of the wrong type: {wanted} is wanted.")
+            name = f"{path}.{key}".lstrip(".")
+            raise UserError(f"{name}={value!r} is of the wrong type: {wanted} is wanted.")
 
 
 def _fits(value: Any, hint: Any) -> bool:

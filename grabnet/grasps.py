@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from torch import Tensor
@@ -47,6 +47,13 @@ class Grasps:
 
     def __len__(self) -> int:
         return len(self.vertices)
+
+    def first(self, n: int) -> Grasps:
+        """The first n of them, or all when there are fewer."""
+        per_grasp = ("betas", "object_transform", "vertices", "distances")
+        return replace(
+            self, parameters=self.parameters.select(slice(n)), **{name: getattr(self, name)[:n] for name in per_grasp}
+        )
 
     @property
     def units_per_metre(self) -> float:

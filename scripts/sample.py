@@ -1,0 +1,26 @@
+"""Grasps of meshes: `python scripts/sample.py mesh=cup.obj n=20 output=DIR`; all values are in configs/sample.yaml."""
+
+from __future__ import annotations
+
+import sys
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+
+from grabnet.arguments import quoted
+from grabnet.cli import hydra_entry
+
+PATHS = ("mesh", "output", "format", "coarsenet", "refinenet", "runs", "hand_model", "cache_dir")
+
+
+@hydra_entry("sample")
+def main(cfg: DictConfig) -> None:
+    from grabnet.sampling import sample
+
+    if sample(instantiate(cfg, _convert_="all")):
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    sys.argv[1:] = quoted(sys.argv[1:], PATHS)
+    main()
