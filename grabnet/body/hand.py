@@ -52,7 +52,7 @@ class HandModel(nn.Module):
     """A hand in MANO's schema: 16 joints, the wrist first.
 
     Args:
-        path: `.npz` or official `.pkl` file; `HandModel.open("right")` loads the open stand-in.
+        path: `.npz` file, with LEFT in its name for a left hand; `HandModel.open("right")` loads the open stand-in.
         dtype: of all buffers; inputs must match.
 
     Attributes:
@@ -104,7 +104,11 @@ class HandModel(nn.Module):
         return self.J_regressor @ rest
 
     def moved(
-        self, parameters: HandParameters, rotation: Tensor, translation: Tensor | None = None, rest: Tensor | None = None
+        self,
+        parameters: HandParameters,
+        rotation: Tensor,
+        translation: Tensor | None = None,
+        rest: Tensor | None = None,
     ) -> HandParameters:
         """The same hands after a rigid motion x → rotation x + translation of all they are made of.
 
