@@ -59,6 +59,8 @@ def _rehearse(config_name: str, arguments: list[str]) -> None:
     if any(a in ("--help", "-h", "--hydra-help", "--version", "--info", "-i", "--cfg", "-c") for a in arguments):
         return
     overrides = [a for a in arguments if not a.startswith("-")]
+    if strange := [a for a in overrides if "=" not in a and not a.startswith("~")]:
+        raise UserError(f"The argument '{strange[0]}' has no value: give it as {strange[0]}=…")
     try:
         # A sweep is rehearsed with the first value of each choice.
         for parsed in (OverridesParser.create().parse_override(o) for o in overrides):

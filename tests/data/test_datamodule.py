@@ -1,0 +1,107 @@
+"""Batches are checked against the frames posed one by one and measured against the exact mesh."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from grabnet.body.hand import HandParameters
+from grabnet.data.datamodule import OBJECT_MESHES, GraspDataModule, IndexBatches
+from grabnet.errors import UserError
+from grabnet.geometry.mesh import load_mesh
+from grabnet.geometry.queries import MeshQuery
+
+SPLIT = {"val_objects": ["can"], "test_objects": ["ring"]}
+
+
+@pytest.fixture(scope="module")
+def data(tiny_dataset, hand, cache_dir) -> GraspDataModule:
+    module = GraspDataModule(hand, str(tiny_dataset), **SPLIT, batch_size=16, near_points=64, cache_dir=str(cache_dir))
+    module.setup()
+    return module
+
+
+def test_objects_are_split_by_name(data):
+    names = data.store.objects
+    assert {split: {names[i] for i in data.frames(split).object} for split in ("train", "val", "test")} == {
+        "train": {"ball", "block"},
+        "val": {"can"},
+        "test": {"ring"},
+    }
+
+
+def test_distances_are_those_to_the_mesh(data, tiny_dataset):
+    index = torch.arange(0, 96, 17)
+    batch = data.assemble("train", index)
+    frames = data.frames("train").select(index)
+    for k in range(len(index)):
+        mesh = load_mesh(tiny_dataset / OBJECT_MESHES / f"{data.store.objects[frames.object[k]]}.ply")
+        rotation = Rotation.from_rotvec(frames.object_orient[k].numpy())
+        # The frame's world is centred on the mean of the object's turned vertices (spec 3).
+        world = rotation.inv().apply(batch.vertices[k].numpy()) + mesh.vertices.mean(0)
+        exact = MeshQuery(mesh).signed_distance(torch.as_tensor(world, dtype=torch.float32))
+        assert (batch.distances[k] - exact).abs().mean() < 2e-4
+        torch.testing.assert_close(batch.measure(batch.vertices)[k], batch.distances[k])
+
+
+def test_points_are_the_nearest_and_their_distances_exact(data):
+    batch = data.assemble("train", torch.arange(5))
+    candidates = data.assembler.object_set.points[batch.objects] @ batch.rotations.mT
+    for k in range(5):
+        tree = cKDTree(batch.vertices[k].numpy())
+        distance, _ = tree.query(candidates[k].numpy())
+        kept, _ = tree.query(batch.points[k].numpy())
+        # Chosen by a quarter of the vertices: within their spacing of being the very nearest.
+        assert kept.max() < sorted(distance)[64] + 0.008
+        assert abs(batch.point_distances[k].abs().numpy() - kept).max() < 1e-4
+
+
+def test_turning_about_the_vertical_changes_no_distance(data):
+    index = torch.arange(8)
+    torch.manual_seed(3)
+    still, turned = data.assemble("train", index), data.assemble("train", index, turn=True)
+    assert (still.vertices - turned.vertices).abs().max() > 0.05
+    torch.testing.assert_close(still.vertices[..., 2], turned.vertices[..., 2])
+    torch.testing.assert_close(still.distances, turned.distances, atol=2e-4, rtol=0)
+    reposed = data.hand(HandParameters(*turned.hand), turned.rest).vertices
+    torch.testing.assert_close(reposed, turned.vertices, atol=1e-5, rtol=0)
+
+
+def test_contact_is_the_share_of_touching_frames(data):
+    near = []
+    for start in range(0, 96, 16):
+        near.append(data.assemble("train", torch.arange(start, start + 16)).distances < 0.0045)
+    torch.testing.assert_close(data.contact, torch.cat(near).float().mean(0), atol=1e-6, rtol=0)
+
+
+def test_shuffled_batches_cover_all_once_and_repeat_by_epoch():
+    batches = IndexBatches(50, 16, shuffle=True, seed=4)
+    first = [index for index, _ in batches]
+    assert len(batches) == 3 and len(torch.cat(first).unique()) == 48
+    assert all(torch.equal(a, b) for a, (b, _) in zip(first, batches, strict=True))
+    batches.set_epoch(1)
+    assert not torch.equal(torch.cat(first), torch.cat([index for index, _ in batches]))
+
+
+def test_evaluation_drops_no_frame():
+    assert torch.cat([index for index, _ in IndexBatches(50, 16, shuffle=False, seed=0)]).tolist() == list(range(50))
+
+
+def test_missing_meshes_are_named(tiny_dataset, hand, tmp_path, cache_dir):
+    (tmp_path / "ball.ply").write_bytes((tiny_dataset / OBJECT_MESHES / "ball.ply").read_bytes())
+    data = GraspDataModule(hand, str(tiny_dataset), **SPLIT, objects_dir=str(tmp_path), cache_dir=str(cache_dir))
+    with pytest.raises(UserError, match="no mesh for block, can, ring; it has ball"):
+        data.setup()
+
+
+def test_an_empty_split_is_an_error(tiny_dataset, hand, cache_dir):
+    data = GraspDataModule(hand, str(tiny_dataset), [], ["mug"], cache_dir=str(cache_dir))
+    with pytest.raises(UserError, match="no val frames"):
+        data.setup()
+
+
+def test_a_missing_data_set_is_an_error(hand, tmp_path):
+    with pytest.raises(UserError, match="does not exist"):
+        GraspDataModule(hand, str(Path(tmp_path) / "nowhere"), **SPLIT).setup()

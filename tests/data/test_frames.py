@@ -1,0 +1,63 @@
+"""The frames store: what is written comes back, and damage is told in a sentence."""
+
+import pytest
+import torch
+
+from grabnet.data.frames import FramesStore, finish_store, write_shard
+from grabnet.errors import UserError
+
+
+def shard_values(n: int, seed: int) -> dict[str, torch.Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    widths = {"global_orient": 3, "hand_pose": 45, "transl": 3, "object_orient": 3}
+    values = {name: torch.randn(n, width, generator=generator) for name, width in widths.items()}
+    return values | {"frame": 4 * torch.arange(n)}
+
+
+@pytest.fixture
+def store(tmp_path):
+    for k, (sequence, subject, thing) in enumerate(
+        [("s1/mug_lift_1", "s1", "mug"), ("s1/cup_pass_1", "s1", "cup"), ("s2/mug_use_1", "s2", "mug")]
+    ):
+        write_shard(tmp_path, sequence, subject, thing, shard_values(3 + k, k), intent="lift")
+    finish_store(tmp_path, {"s1": torch.zeros(5, 3), "s2": torch.ones(5, 3)}, ["mug", "cup"], {"made": "here"})
+    return tmp_path
+
+
+def test_frames_come_back_with_their_names(store):
+    loaded = FramesStore.load(store)
+    assert (loaded.subjects, loaded.objects) == (["s1", "s2"], ["cup", "mug"])
+    assert loaded.sequences == ["s1/cup_pass_1", "s1/mug_lift_1", "s2/mug_use_1"]
+    assert loaded.card["provenance"] == {"made": "here"}
+    frames = loaded.frames
+    assert len(frames) == 12
+    chosen = frames.select(frames.sequence == loaded.sequences.index("s2/mug_use_1"))
+    for name, value in shard_values(5, 2).items():
+        torch.testing.assert_close(getattr(chosen, name), value)
+    assert {loaded.subjects[i] for i in chosen.subject} == {"s2"}
+    assert {loaded.objects[i] for i in chosen.object} == {"mug"}
+
+
+def test_a_store_takes_under_400_bytes_a_frame(tmp_path):
+    write_shard(tmp_path, "s1/mug_lift_1", "s1", "mug", shard_values(1000, 0))
+    assert sum(p.stat().st_size for p in tmp_path.rglob("*.safetensors")) < 400 * 1000
+
+
+def test_a_wrong_shape_is_refused_before_anything_is_written(tmp_path):
+    values = shard_values(4, 0) | {"transl": torch.zeros(4, 2)}
+    with pytest.raises(ValueError, match=r"transl has shape \(4, 2\)"):
+        write_shard(tmp_path, "s1/mug_lift_1", "s1", "mug", values)
+    assert not list(tmp_path.rglob("*.safetensors"))
+
+
+def test_an_unfinished_store_is_not_read(tmp_path):
+    write_shard(tmp_path, "s1/mug_lift_1", "s1", "mug", shard_values(4, 0))
+    with pytest.raises(UserError, match=r"store\.json does not exist"):
+        FramesStore.load(tmp_path)
+
+
+def test_a_truncated_shard_is_named(store):
+    shard = store / "shards/s1/mug_lift_1.safetensors"
+    shard.write_bytes(shard.read_bytes()[:-100])
+    with pytest.raises(UserError, match=r"mug_lift_1\.safetensors is damaged"):
+        FramesStore.load(store)
