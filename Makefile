@@ -14,9 +14,19 @@ $(READY): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	touch $@
 
-# Trains both networks on the open data and samples grasps for meshes they never saw; goes on where it was stopped.
-demo: setup
-	$(BIN)/python scripts/demo.py
+# Trains both networks on the open data, then samples grasps for objects that they never saw. Stopped half-way, it goes
+# on from there; `make clean-demo` starts it over.
+DEMO := runs/demo
+UNSEEN := mug wineglass camera binoculars fryingpan toothpaste
+comma := ,
+empty :=
+
+demo: $(DEMO)/coarsenet/model.safetensors $(DEMO)/refinenet/model.safetensors
+	$(BIN)/python scripts/sample.py n=20 output=$(DEMO)/grasps coarsenet=$(DEMO)/coarsenet refinenet=$(DEMO)/refinenet \
+	  mesh=[$(subst $(empty) $(empty),$(comma),$(UNSEEN:%=data/open/tools/object_meshes/contact_meshes/%.ply))]
+
+$(DEMO)/%/model.safetensors: | $(READY)
+	$(BIN)/python train.py experiment=demo model=$* run_dir=$(@D)
 
 test: setup
 	$(BIN)/ruff check .
