@@ -16,6 +16,9 @@ from grabnet.geometry import lookup_kernels as kernels
 from grabnet.geometry.sdf_grid import SDFGrid
 from grabnet.geometry.warping import launch, shared
 
+# Buffers that tell the kernels where each lattice lies, in the order of their arguments.
+_LATTICES = {"fine_box": wp.vec3, "origin": wp.vec3, "spacing": None, "dims": wp.vec3i, "offset": None}
+
 
 class SDFAtlas(nn.Module):
     """Signed distances to any of several objects, differentiable in the points.
@@ -41,12 +44,13 @@ class SDFAtlas(nn.Module):
         buffer("origin", origin)
         buffer("spacing", spacing)
         buffer("dims", dims.int())
-        buffer("offset", dims.prod(1).cumsum(0) - dims.prod(1))
-        buffer("fine_low", origin[::2])
-        buffer("fine_high", (origin + spacing.unsqueeze(1) * (dims - 1))[::2])
+        buffer("offset", (dims.prod(1).cumsum(0) - dims.prod(1)).int())
+        buffer("fine_box", torch.stack([origin, origin + spacing.unsqueeze(1) * (dims - 1)], 1)[::2])
+        if len(self.values) >= 2**31:
+            raise ValueError(f"{len(grids)} grids hold over 2³¹ nodes: lower fine_nodes or divide the objects")
 
     def __len__(self) -> int:
-        return len(self.fine_low)
+        return len(self.fine_box)
 
     def forward(self, points: Tensor, objects: Tensor) -> Tensor:
         """Signed distances (B, N) in metres, negative inside, of points (B, N, 3) in the frames of objects (B,)."""
@@ -62,30 +66,18 @@ class SDFAtlas(nn.Module):
         return _Distance.apply(points, objects, self)
 
     def _lookup(self, points: Tensor, objects: Tensor, want_gradient: bool) -> tuple[Tensor, Tensor]:
-        points, objects = points.detach().float().contiguous(), objects.long().contiguous()
         if points.dim() != 3 or objects.shape != points.shape[:1]:
             raise ValueError(f"points must be (B, N, 3) and objects (B,), got {points.shape} and {objects.shape}")
-        distance = points.new_empty(points.shape[:2])
-        gradient = torch.empty_like(points) if want_gradient else points
-        cells = (
-            torch.empty_like(distance, dtype=torch.int32),
-            torch.empty_like(distance, dtype=torch.int64),
-            torch.empty_like(points),
-            torch.empty_like(points),
-        )
-        levels = self._levels()
-        launch(kernels.locate, [points, objects, *cells], [levels], dims=2)
-        constants = [shared(self.values), levels, want_gradient]
-        launch(kernels.interpolate, [*cells, distance, gradient], constants, dims=2)
-        return distance, gradient
+        flat = points.detach().float().reshape(-1, 3).contiguous()
+        items = [flat, objects.int().repeat_interleave(points.shape[1])]
+        cells = [torch.empty_like(flat, dtype=torch.int32), flat.new_empty(len(flat), 4), torch.empty_like(flat)]
+        lattices = [shared(getattr(self, name), dtype) for name, dtype in _LATTICES.items()]
+        launch(kernels.locate, [*items, *cells], lattices)
 
-    def _levels(self) -> kernels.Levels:
-        levels = kernels.Levels()
-        for name in ("origin", "fine_low", "fine_high"):
-            setattr(levels, name, shared(getattr(self, name), wp.vec3))
-        levels.dims = shared(self.dims, wp.vec3i)
-        levels.spacing, levels.offset = shared(self.spacing), shared(self.offset)
-        return levels
+        distance = flat.new_empty(len(flat))
+        gradient = torch.empty_like(flat) if want_gradient else flat  # not written to
+        launch(kernels.interpolate, [*cells, distance, gradient], [shared(self.values), want_gradient])
+        return distance.view(points.shape[:2]), gradient.view(points.shape)
 
 
 class _Distance(torch.autograd.Function):

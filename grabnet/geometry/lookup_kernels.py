@@ -11,107 +11,89 @@ import grabnet.geometry.warping  # noqa: F401  (starts warp)
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.struct
-class Levels:
-    """Lattices of all objects: level 2 i is the fine one of object i, 2 i + 1 its coarse one."""
-
-    fine_low: wp.array(dtype=wp.vec3)  # box of the fine level, per object
-    fine_high: wp.array(dtype=wp.vec3)
-    origin: wp.array(dtype=wp.vec3)  # per level
-    spacing: wp.array(dtype=float)
-    dims: wp.array(dtype=wp.vec3i)
-    offset: wp.array(dtype=wp.int64)  # of the first node in the flat buffer
-
-
-@wp.func
-def within(p: wp.vec3, low: wp.vec3, high: wp.vec3):
-    return (
-        p[0] >= low[0] and p[1] >= low[1] and p[2] >= low[2] and p[0] <= high[0] and p[1] <= high[1] and p[2] <= high[2]
-    )
-
-
 @wp.kernel
 def locate(
-    levels: Levels,
-    points: wp.array2d(dtype=wp.vec3),
-    objects: wp.array(dtype=wp.int64),
-    level: wp.array2d(dtype=int),
-    node: wp.array2d(dtype=wp.int64),
-    fraction: wp.array2d(dtype=wp.vec3),
-    excess: wp.array2d(dtype=wp.vec3),
+    fine_box: wp.array2d(dtype=wp.vec3),  # lowest and highest corner of each object's fine level
+    origin: wp.array(dtype=wp.vec3),  # of level 2 i, the fine one of object i, and of 2 i + 1, its coarse one
+    spacing: wp.array(dtype=float),
+    dims: wp.array(dtype=wp.vec3i),
+    offset: wp.array(dtype=int),
+    points: wp.array(dtype=wp.vec3),
+    objects: wp.array(dtype=int),
+    cell: wp.array(dtype=wp.vec3i),
+    place: wp.array(dtype=wp.vec4),
+    excess: wp.array(dtype=wp.vec3),
 ):
-    """The cell of each point: its lowest node, the place in it (0 to 1), and by how much the point lies outside."""
-    i, j = wp.tid()
-    p = points[i, j]
-    item = int(objects[i])
-    k = 2 * item
-    if not within(p, levels.fine_low[item], levels.fine_high[item]):
-        k += 1
-    dims = levels.dims[k]
-    last = wp.vec3(float(dims[0] - 1), float(dims[1] - 1), float(dims[2] - 1))
-    u = (p - levels.origin[k]) / levels.spacing[k]
+    """For each point, its cell and how far it lies outside of the lattice.
+
+    cell: index of the lowest corner, and the steps to the next node along x and along y. place: where in the cell the
+    point lies, 0 to 1, and the cell's side.
+    """
+    i = wp.tid()
+    p = points[i]
+    item = objects[i]
+    low = fine_box[item, 0]
+    high = fine_box[item, 1]
+    level = 2 * item
+    if p[0] < low[0] or p[1] < low[1] or p[2] < low[2] or p[0] > high[0] or p[1] > high[1] or p[2] > high[2]:
+        level += 1
+    n = dims[level]
+    u = (p - origin[level]) / spacing[level]
+    last = wp.vec3(float(n[0] - 1), float(n[1] - 1), float(n[2] - 1))
     inside = wp.max(wp.min(u, last), wp.vec3(0.0))
     # Clamped as integers too, so that NaN reads within the buffer; the excess carries it on.
-    x = wp.clamp(int(inside[0]), 0, dims[0] - 2)
-    y = wp.clamp(int(inside[1]), 0, dims[1] - 2)
-    z = wp.clamp(int(inside[2]), 0, dims[2] - 2)
-    level[i, j] = k
-    node[i, j] = levels.offset[k] + wp.int64((x * dims[1] + y) * dims[2] + z)
-    fraction[i, j] = inside - wp.vec3(float(x), float(y), float(z))
-    excess[i, j] = (u - inside) * levels.spacing[k]
+    x = wp.clamp(int(inside[0]), 0, n[0] - 2)
+    y = wp.clamp(int(inside[1]), 0, n[1] - 2)
+    z = wp.clamp(int(inside[2]), 0, n[2] - 2)
+    cell[i] = wp.vec3i(offset[level] + (x * n[1] + y) * n[2] + z, n[1] * n[2], n[2])
+    place[i] = wp.vec4(inside[0] - float(x), inside[1] - float(y), inside[2] - float(z), spacing[level])
+    excess[i] = (u - inside) * spacing[level]
 
 
 @wp.kernel
 def interpolate(
     values: wp.array(dtype=wp.float16),
-    levels: Levels,
     want_gradient: bool,
-    level: wp.array2d(dtype=int),
-    node: wp.array2d(dtype=wp.int64),
-    fraction: wp.array2d(dtype=wp.vec3),
-    excess: wp.array2d(dtype=wp.vec3),
-    distance: wp.array2d(dtype=float),
-    gradient: wp.array2d(dtype=wp.vec3),
+    cell: wp.array(dtype=wp.vec3i),
+    place: wp.array(dtype=wp.vec4),
+    excess: wp.array(dtype=wp.vec3),
+    distance: wp.array(dtype=float),
+    gradient: wp.array(dtype=wp.vec3),
 ):
     """Trilinear value and its gradient; beyond the lattice those of the surface point seen from its border."""
-    i, j = wp.tid()
-    k = level[i, j]
-    f = fraction[i, j]
-    dims = levels.dims[k]
-    row = wp.int64(dims[2])
-    sheet = row * wp.int64(dims[1])
-    a = node[i, j]
-    b = a + row
-    c = a + sheet
-    d = c + row
-    one = wp.int64(1)
-    a0 = float(values[a])
-    b0 = float(values[b])
-    c0 = float(values[c])
-    d0 = float(values[d])
-    az = float(values[a + one]) - a0
-    bz = float(values[b + one]) - b0
-    cz = float(values[c + one]) - c0
-    dz = float(values[d + one]) - d0
-    a0 += az * f[2]
-    b0 += bz * f[2]
-    c0 += cz * f[2]
-    d0 += dz * f[2]
-    low = wp.lerp(a0, b0, f[1])
-    high = wp.lerp(c0, d0, f[1])
-    value = wp.lerp(low, high, f[0])
-    slope = wp.vec3(
-        high - low,
-        wp.lerp(b0 - a0, d0 - c0, f[0]),
-        wp.lerp(wp.lerp(az, bz, f[1]), wp.lerp(cz, dz, f[1]), f[0]),
-    )
-    slope = slope / levels.spacing[k]
-    outside = excess[i, j]
+    i = wp.tid()
+    c = cell[i]
+    f = place[i]
+    n00 = c[0]
+    n01 = n00 + c[2]
+    n10 = n00 + c[1]
+    n11 = n10 + c[2]
+    v00 = float(values[n00])
+    v01 = float(values[n01])
+    v10 = float(values[n10])
+    v11 = float(values[n11])
+    z00 = float(values[n00 + 1]) - v00
+    z01 = float(values[n01 + 1]) - v01
+    z10 = float(values[n10 + 1]) - v10
+    z11 = float(values[n11 + 1]) - v11
+    v00 += z00 * f[2]
+    v01 += z01 * f[2]
+    v10 += z10 * f[2]
+    v11 += z11 * f[2]
+    v0 = v00 + (v01 - v00) * f[1]
+    v1 = v10 + (v11 - v10) * f[1]
+    z0 = z00 + (z01 - z00) * f[1]
+    z1 = z10 + (z11 - z10) * f[1]
+    y0 = v01 - v00
+    value = v0 + (v1 - v0) * f[0]
+    slope = wp.vec3(v1 - v0, y0 + (v11 - v10 - y0) * f[0], z0 + (z1 - z0) * f[0]) / f[3]
+
+    outside = excess[i]
     if outside[0] != 0.0 or outside[1] != 0.0 or outside[2] != 0.0:
         # From where the point leaves the lattice the surface lies `value` back along the slope.
         leap = outside + value * wp.normalize(slope)
         value = wp.length(leap)
         slope = leap / value
-    distance[i, j] = value
+    distance[i] = value
     if want_gradient:
-        gradient[i, j] = slope
+        gradient[i] = slope

@@ -26,13 +26,13 @@ class AtlasConfig:
     """How a mesh's signed distance is stored; lengths in metres."""
 
     fine_nodes: int = 128**3  # at most this many nodes around the object; 2 bytes each
-    coarse_nodes: int = 96**3  # at most this many nodes in the wide box
+    coarse_nodes: int = 64**3  # at most this many in the wide box, where distance is long and smooth
     fine_pad: float = 0.02  # fine box beyond the mesh: fingers that touch it lie within
     coarse_pad: float = 0.06  # coarse box beyond the mesh
     coarse_radius: float = 0.16  # and at least this far from the centroid: the BPS ball of 15 cm fits in any rotation
     exact_zone: float = 0.005  # nodes closer than this to the surface are queried exactly
     stride: int = 4  # nodes between those of the first, exact lattice: a power of 2
-    doubt: float = 0.01  # nodes beyond the zone are interpolated unless two predictions differ by this share of them
+    doubt: float = 0.005  # nodes beyond the zone are interpolated unless two predictions differ by this share of them
 
 
 @dataclass(frozen=True)

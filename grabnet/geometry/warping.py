@@ -38,33 +38,29 @@ with _silent_stderr():  # on a machine without an NVIDIA driver warp says so at 
     wp.init()
 
 
-def launch(kernel: wp.Kernel, items: Sequence[Tensor], constants: Sequence[Any], dims: int = 1) -> None:
-    """Run `kernel(*constants, *items)` once for each item.
+def launch(kernel: wp.Kernel, items: Sequence[Tensor], constants: Sequence[Any]) -> None:
+    """Run `kernel(*constants, *items)` once for each item; on a CPU in as many threads as torch uses.
 
     Args:
-        items: contiguous tensors whose first `dims` dimensions number the items; a trailing 3 becomes a `vec3`. Tensors
-            with fewer dimensions hold one entry per row of items. The kernel writes into those that are its outputs.
+        items: contiguous tensors (N,), or (N, 3) and (N, 4) for vectors; the kernel writes into those it changes.
         constants: what all items share: numbers, warp arrays, mesh ids.
-        dims: 1 or 2. The first dimension is shared out between threads on a CPU.
     """
     first = items[0]
-    shape = first.shape[:dims]
     device = wp.device_from_torch(first.device)
     kernel.module.load(device)  # compiled before threads could race for it
 
     def run(rows: slice) -> None:
-        arrays = [_as_warp(x[rows], dims) for x in items]
-        size = (len(range(*rows.indices(shape[0]))), *shape[1:])
-        wp.launch(kernel, size, [*constants, *arrays], device=device)
+        arrays = [_as_warp(x[rows]) for x in items]
+        wp.launch(kernel, arrays[0].shape[0], [*constants, *arrays], device=device)
 
     if device.is_cuda:
         # Queued behind the torch work that made the inputs, and before what will read the outputs.
         with wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream(first.device))):
             return run(slice(None))
-    threads = max(1, min(torch.get_num_threads(), shape.numel() // _ITEMS_PER_THREAD, shape[0]))
+    threads = max(1, min(torch.get_num_threads(), len(first) // _ITEMS_PER_THREAD))
     if threads == 1:
         return run(slice(None))
-    edges = [shape[0] * i // threads for i in range(threads + 1)]
+    edges = [len(first) * i // threads for i in range(threads + 1)]
     with ThreadPoolExecutor(threads) as pool:  # warp releases the interpreter lock while a kernel runs
         list(pool.map(run, [slice(a, b) for a, b in pairwise(edges)]))
 
@@ -74,5 +70,8 @@ def shared(tensor: Tensor, dtype: Any = None) -> wp.array:
     return wp.from_torch(tensor, dtype=dtype)
 
 
-def _as_warp(tensor: Tensor, dims: int) -> wp.array:
-    return wp.from_torch(tensor, dtype=wp.vec3 if tensor.dim() > dims and tensor.shape[-1] == 3 else None)
+def _as_warp(tensor: Tensor) -> wp.array:
+    if tensor.dim() == 1:
+        return wp.from_torch(tensor)
+    vectors = {torch.float32: {3: wp.vec3, 4: wp.vec4}, torch.int32: {3: wp.vec3i}}
+    return wp.from_torch(tensor, dtype=vectors[tensor.dtype][tensor.shape[1]])
