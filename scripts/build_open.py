@@ -23,6 +23,12 @@ def hand(arguments: argparse.Namespace) -> None:
     print(f"Wrote MANO_RIGHT.npz and MANO_LEFT.npz to {arguments.folder}; on adults left out of the fit:")
     print(f"  joints {report.joint_error[0]:.2f} mm off on average, {report.joint_error[1]:.2f} mm at most;")
     print(f"  vertices {report.shape_error[0]:.2f} mm off on average, {report.shape_error[1]:.2f} mm at most.")
+    if arguments.picture:
+        from grabnet.body.hand import HandModel
+        from grabnet.open.hand.sheet import hand_sheet
+        from grabnet.visual.pictures import save_image
+
+        save_image(arguments.picture, hand_sheet(HandModel(arguments.folder / "MANO_RIGHT.npz")))
 
 
 def objects(arguments: argparse.Namespace) -> None:
@@ -39,6 +45,7 @@ def parser() -> argparse.ArgumentParser:
     command.add_argument("--folder", type=Path, default=Path("assets/open_hand"), help="(default: %(default)s)")
     command.add_argument("--adults", type=int, default=400, help="hands sampled (default: %(default)s)")
     command.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
+    command.add_argument("--picture", type=Path, help="also draw poses and shapes here, such as docs/open_hand.png")
     command.set_defaults(run=hand)
 
     command = commands.add_parser("objects", help="mesh the open objects, one .ply each; those up to date are kept")

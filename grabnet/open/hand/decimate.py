@@ -17,7 +17,9 @@ def decimate(
 
     Args:
         vertices (V, 3), faces (F, 3), attributes (V, A).
-        n_vertices, n_boundary: vertices to keep in all and on the boundary.
+        n_vertices: vertices to keep.
+        n_boundary: fewest of them on the boundary. Its own edges go first, so on a mesh with a longer boundary of
+            even edges it comes down to about this many.
 
     Returns:
         ids (n_vertices,) of the kept vertices, ascending, and faces numbered by them.
@@ -64,7 +66,7 @@ class _Collapsible:
         for a, b in self.edges:
             push(a, b)
             push(b, a)
-        # The rim first, short edges first: it must come down to exactly n_boundary.
+        # The rim first, short edges first: the quadrics would spare it.
         rim = [(np.linalg.norm(self.vertices[a] - self.vertices[b]) - 1, a, b) for a, b in self.rim]
         for cost, a, b in rim:
             heapq.heappush(heap, (cost, a, b, 0, 0))

@@ -1,0 +1,430 @@
+"""The shipped open hands, and the steps that make them."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from grabnet.body.anatomy import FINGERS, JOINTS, Anatomy, boundary_loop
+from grabnet.body.hand import OPEN_HANDS, HandModel, HandParameters
+from grabnet.body.loading import read_npz
+from grabnet.errors import UserError
+from grabnet.files import sha256
+from grabnet.geometry.rotations import axis_angle_to_matrix
+from grabnet.open.hand.build import mirrored, right_hand
+from grabnet.open.hand.decimate import decimate
+from grabnet.open.hand.flatten import FlatHands, flatten
+from grabnet.open.hand.knuckles import KNUCKLES, finger_shares, move_knuckles
+from grabnet.open.hand.poses import grasp_poses, principal_poses
+from grabnet.open.hand.shapes import calibrate, joint_regressor, principal_shapes, vary
+from grabnet.open.hand.source import BONES, AdultHands, sample_adults
+
+SIDES = ("RIGHT", "LEFT")
+
+
+@pytest.fixture(scope="module")
+def anatomy(hand):
+    return Anatomy.of(hand)
+
+
+@pytest.fixture(scope="module")
+def flat_hands(hand):
+    """Thirty of the open hand's own shapes, as the build sees them: wrist at the origin."""
+    rest = hand.shaped(torch.randn(30, 10, generator=torch.Generator().manual_seed(0)))
+    joints = hand.rest_joints(rest)
+    return FlatHands(
+        (rest - joints[:, :1]).double().numpy(),
+        hand.faces.numpy(),
+        (joints - joints[:, :1]).double().numpy(),
+        hand.weights.double().numpy(),
+    )
+
+
+def posed(hand, anatomy, angles):
+    """(N, 21) angles → (N, V, 3)."""
+    n = len(angles)
+    return hand(HandParameters(torch.eye(3).expand(n, 3, 3), anatomy.hand_pose(angles), torch.zeros(n, 3))).vertices
+
+
+def edges_of(faces):
+    return torch.unique(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).sort(1)[0], dim=0).T
+
+
+def lengths(vertices, faces):
+    a, b = edges_of(faces)
+    return (vertices[:, a] - vertices[:, b]).norm(dim=-1)
+
+
+def volume(vertices, faces):
+    a, b, c = vertices[:, faces].unbind(2)
+    return (a * torch.linalg.cross(b, c, dim=-1)).sum((1, 2)) / 6
+
+
+def hand_length(vertices, joints, anatomy):
+    """Wrist crease to middle fingertip along the hand."""
+    return joints[:, 0, 0] - vertices[:, anatomy.tips[2], 0]
+
+
+# --- The shipped files ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_file_keeps_manos_schema(side):
+    path = OPEN_HANDS / f"MANO_{side}.npz"
+    model = read_npz(path)
+    assert path.stat().st_size < 150_000
+    assert model["v_template"].shape == (778, 3)
+    assert model["shapedirs"].shape == (778, 3, 10)
+    assert model["f"].shape == (1538, 3)
+    assert model["f"].dtype.kind == "u"
+    assert not model["posedirs"].any()  # the hand model skips pose correctives that are exactly zero
+    assert len(boundary_loop(torch.as_tensor(model["f"].astype(int)))) == 16
+    for name in ("weights", "J_regressor"):
+        assert (model[name] >= 0).all()
+        np.testing.assert_allclose(model[name].sum(1), 1, atol=1e-5)
+    components = model["hands_components"]
+    np.testing.assert_allclose(components @ components.T, np.eye(45), atol=1e-5)
+    assert sorted(np.unique(model["f"])) == list(range(778))
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_readme_names_the_hash(side):
+    path = OPEN_HANDS / f"MANO_{side}.npz"
+    assert sha256(path) in (OPEN_HANDS / "README.md").read_text(encoding="utf-8")
+
+
+def test_left_is_the_exact_mirror_image():
+    right, left = (read_npz(OPEN_HANDS / f"MANO_{side}.npz") for side in SIDES)
+    for name, array in mirrored(right).items():
+        np.testing.assert_array_equal(left[name], array, err_msg=name)
+
+
+def test_hand_lengths_over_betas_are_those_of_adults(hand, anatomy):
+    betas = torch.randn(4000, 10, generator=torch.Generator().manual_seed(0))
+    rest = hand.shaped(betas)
+    length = hand_length(rest, hand.rest_joints(rest), anatomy) * 1000
+    assert length.mean().item() == pytest.approx(189, abs=2)
+    assert length.std().item() == pytest.approx(10, abs=1.5)
+
+
+def test_no_direction_explains_nearly_everything_and_fingers_vary_apart(hand, anatomy):
+    energy = hand.shapedirs.square().sum((0, 1))
+    assert energy[0] / energy.sum() < 0.85
+    rest = hand.shaped(torch.randn(2000, 10, generator=torch.Generator().manual_seed(1)))
+    joints = hand.rest_joints(rest)
+    finger = [(rest[:, anatomy.tips[f]] - joints[:, JOINTS.index(f"{name}1")]).norm(dim=-1)
+              for f, name in enumerate(FINGERS)]  # fmt: skip
+    share = torch.stack([x / hand_length(rest, joints, anatomy) for x in finger])
+    assert (share.std(1) / share.mean(1) > 0.015).all()
+    assert (torch.corrcoef(share) - torch.eye(5)).max() < 0.9
+
+
+def test_zero_pose_is_flat(hand, anatomy):
+    joints = hand.rest_joints(hand.v_template)
+    for f, finger in enumerate(FINGERS[1:], start=1):
+        first = JOINTS.index(f"{finger}1")
+        points = torch.cat([joints[first : first + 3], hand.v_template[anatomy.tips[f], None]])
+        direction = torch.nn.functional.normalize(points.diff(dim=0), dim=-1)
+        assert (direction[:, 1].abs() < 0.2).all(), "in the plane of the palm"
+        assert (direction[0] @ direction[1:].T > 0.96).all(), "straight"
+        assert (direction[:, 0] < -0.8).all(), "along −x"
+
+
+def test_mean_pose_is_relaxed(hand, anatomy):
+    """Somewhat flexed: fingertips nearer the palm than flat, far from a fist."""
+    pose = axis_angle_to_matrix(hand.hand_mean.view(1, 15, 3))
+    vertices = hand(HandParameters(torch.eye(3)[None], pose, torch.zeros(1, 3))).vertices[0]
+    drop = hand.v_template[anatomy.tips[1:], 1] - vertices[anatomy.tips[1:], 1]
+    assert (drop > 0.02).all() and (drop < 0.08).all()
+
+
+def test_first_pose_component_closes_the_hand(hand, anatomy):
+    """Both ways along it: one opens, the other closes all four fingers together."""
+    pose = axis_angle_to_matrix(hand.pose_from_pca(torch.tensor([[1.5], [-1.5]])).view(2, 15, 3))
+    vertices = hand(HandParameters(torch.eye(3).expand(2, 3, 3), pose, torch.zeros(2, 3))).vertices
+    lift = vertices[:, anatomy.tips[1:], 1] - hand.v_template[anatomy.tips[1:], 1]
+    assert (lift[0] * lift[1] < 0).all()
+    assert lift[0].sign().abs().sum() == 4 and lift[0].sign().unique().numel() == 1
+
+
+def test_skin_stays_whole_at_the_limits(hand, anatomy):
+    """Every angle at each of its limits, the fist, and random poses within the limits: no spike, no flipped patch."""
+    low, high = anatomy.angle_limits.T
+    single = torch.cat([low.diag(), high.diag()])
+    random = low + (high - low) * torch.rand(200, 21, generator=torch.Generator().manual_seed(0))
+    rest = lengths(hand.v_template[None], hand.faces)
+    for angles, stretch, growth in ((single, 4.5, 0.016), (fist(anatomy)[None], 2.5, 0.006), (random, 7, 0.03)):
+        length = lengths(posed(hand, anatomy, angles), hand.faces)
+        assert (length / rest).max() < stretch
+        assert (length - rest).max() < growth
+    # A spike is a vertex far from all its neighbours. Webs stretch, but each vertex keeps company.
+    vertices = posed(hand, anatomy, torch.cat([single, random]))
+    a, b = edges_of(hand.faces)
+    apart = (vertices[:, a] - vertices[:, b]).norm(dim=-1)
+    nearest = torch.full(vertices.shape[:2], torch.inf)
+    for ends in (a, b):
+        nearest.scatter_reduce_(1, ends.expand(len(apart), -1), apart, "amin")
+    assert nearest.max() < 0.02
+
+
+def test_triangles_do_not_turn_inside_out(hand, anatomy):
+    """Against the bone that most of it follows, a triangle leans, but few turn over, at folds only."""
+    low, high = anatomy.angle_limits.T
+    angles = torch.cat([low.diag(), high.diag(), fist(anatomy)[None]])
+    posed_hand = posed(hand, anatomy, angles)
+
+    def normals(vertices):
+        a, b, c = vertices[..., hand.faces, :].unbind(-2)
+        return torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a, dim=-1), dim=-1)
+
+    pose = anatomy.hand_pose(angles)
+    world = [torch.eye(3).expand(len(angles), 3, 3)]
+    for joint in range(1, 16):
+        world.append(world[hand.parents[joint]] @ pose[:, joint - 1])
+    world = torch.stack(world, 1)
+    bone = hand.weights[hand.faces].sum(1).argmax(1)
+    carried = (world[:, bone] @ normals(hand.v_template).unsqueeze(-1)).squeeze(-1)
+    flipped = (carried * normals(posed_hand)).sum(-1) < 0
+    assert flipped[:-1].float().mean(1).max() < 0.02
+    assert flipped[-1].float().mean() < 0.06
+
+
+def fist(anatomy):
+    angles = torch.zeros(21)
+    for k, name in enumerate(anatomy.angle_names):
+        if not name.startswith("thumb"):
+            angles[k] = {"mcp_flexion": 1.5, "pip": 1.7, "dip": 1.0}.get(name.partition("_")[2], 0)
+    return angles
+
+
+def test_a_fist_keeps_its_volume(hand, anatomy):
+    vertices = posed(hand, anatomy, torch.stack([torch.zeros(21), fist(anatomy)]))
+    flat, closed = volume(vertices, anatomy.capped_faces)
+    assert 0.82 < closed / flat < 1.05
+
+
+def test_knuckles_bend_behind_the_web(hand, anatomy):
+    """At the web between two fingers the skin already follows them: the knuckles lie at least 1 cm behind it."""
+    joints = hand.rest_joints(hand.v_template)
+    middle, ring = (anatomy.finger == FINGERS.index(f) for f in ("middle", "ring"))
+    a, b = edges_of(hand.faces)
+    across = (middle[a] & ring[b]) | (ring[a] & middle[b])
+    web = hand.v_template[torch.cat([a[across], b[across]])]
+    assert joints[JOINTS.index("middle1"), 0] > web[:, 0].min() + 0.01
+
+
+# --- The steps of the build -------------------------------------------------------------------------------------------
+
+
+def open_sphere():
+    mesh = trimesh.creation.icosphere(3, 1.0)
+    faces = mesh.faces[mesh.triangles_center[:, 2] < 0.7]
+    kept = np.unique(faces)
+    return mesh.vertices[kept], np.searchsorted(kept, faces)
+
+
+@pytest.mark.parametrize(("n", "rim"), [(300, 20), (120, 12)])
+def test_decimation_keeps_places_counts_and_surface(n, rim):
+    vertices, faces = open_sphere()
+    kept, smaller = decimate(vertices, faces, n, rim, np.zeros((len(vertices), 1)))
+    assert len(kept) == n and np.unique(kept).size == n
+    mesh = trimesh.Trimesh(vertices[kept], smaller, process=False)
+    assert mesh.is_winding_consistent
+    assert mesh.euler_number == 1  # a disc
+    assert rim <= len(boundary_loop(torch.as_tensor(smaller))) < len(boundary_loop(torch.as_tensor(faces)))
+    assert (mesh.face_normals * mesh.triangles_center).sum(1).min() > 0.7  # nothing flipped
+    assert np.linalg.norm(mesh.triangles_center, axis=1).min() > (0.97 if n == 300 else 0.92)
+
+
+def test_decimation_spares_vertices_where_weights_change():
+    vertices, faces = open_sphere()
+    belt = np.abs(vertices[:, 0]) < 0.3
+    weights = np.clip(vertices[:, :1] / 0.6 + 0.5, 0, 1)
+    plain, spared = (decimate(vertices, faces, 200, 16, w)[0] for w in (np.zeros_like(weights), 10 * weights))
+    assert belt[spared].sum() > belt[plain].sum() * 1.3
+
+
+def curled_hands(n=3):
+    """Stick hands in the body frame: random bone lengths, curled fingers, one point of skin beside each bone's head."""
+    rng = np.random.default_rng(0)
+    heads, tails = np.zeros((n, len(BONES), 3)), np.zeros((n, len(BONES), 3))
+
+    def place(bone, start, step):
+        heads[:, BONES.index(bone)] = start
+        tails[:, BONES.index(bone)] = np.add(start, step)
+
+    place("lowerarm01", [0, 0, 0.25], [0, 0, -0.13])
+    place("lowerarm02", [0, 0, 0.12], [0, 0, -0.12])
+    place("wrist", [0, 0, 0], [0, 0, -0.05])
+    for finger in range(1, 6):
+        # A right arm hanging down, palm towards the thigh (+x), thumb forwards (−y): MakeHuman faces −y.
+        root = np.array([0.0, -0.03 + 0.015 * (finger - 2), -0.09]) if finger > 1 else np.array([0.01, -0.03, -0.03])
+        angle = 0.0
+        for k in (1, 2, 3):
+            angle += rng.uniform(0.1, 0.3)
+            step = rng.uniform(0.02, 0.04, (n, 1)) * np.array([np.sin(angle), 0, -np.cos(angle)])
+            place(f"finger{finger}-{k}", root, step)
+            root = root + step
+    for finger in (1, 2, 3, 4):
+        place(f"metacarpal{finger}", heads[:, BONES.index("wrist")], [0, 0, -0.05])
+    skin = heads + rng.normal(0, 0.005, (n, len(BONES), 3))
+    return AdultHands(skin, np.zeros((0, 3), int), heads, tails, np.eye(len(BONES)))
+
+
+def test_flattening_straightens_fingers_and_keeps_lengths():
+    hands = curled_hands()
+    flat = flatten(hands)
+    np.testing.assert_allclose(flat.joints[:, 0], 0, atol=1e-12)
+    np.testing.assert_allclose(flat.joints[:, JOINTS.index("middle1"), 1:], 0, atol=1e-9)
+    assert (flat.joints[:, JOINTS.index("middle1"), 0] < 0).all()
+    assert (flat.joints[:, JOINTS.index("index1"), 2] > flat.joints[:, JOINTS.index("pinky1"), 2]).all()
+    for number, finger in ((2, "index"), (3, "middle"), (4, "ring"), (5, "pinky")):
+        bones = [BONES.index(f"finger{number}-{k}") for k in (1, 2, 3)]
+        joints = flat.joints[:, JOINTS.index(f"{finger}1") :][:, :3]
+        before, after = (np.diff(x, axis=1) for x in (hands.heads[:, bones], joints))
+        np.testing.assert_allclose(np.linalg.norm(after, axis=-1), np.linalg.norm(before, axis=-1), atol=1e-9)
+        np.testing.assert_allclose(np.cross(after[:, 0], after[:, 1]), 0, atol=1e-9)
+        np.testing.assert_allclose(after[..., 1], 0, atol=1e-9)
+        for k, bone in enumerate(bones):  # skin moves rigidly with its bone
+            distance = np.linalg.norm(hands.vertices[:, bone] - hands.heads[:, bone], axis=-1)
+            np.testing.assert_allclose(np.linalg.norm(flat.vertices[:, bone] - joints[:, k], axis=-1), distance)
+    np.testing.assert_allclose(flat.weights.sum(1), 1)
+
+
+def test_flattening_does_not_depend_on_where_the_hand_is():
+    hands = curled_hands()
+    turn, shift = Rotation.from_rotvec([0.5, -1.0, 2.0]).as_matrix(), np.array([1.0, -2.0, 0.5])
+    moved = AdultHands(
+        hands.vertices @ turn.T + shift, hands.faces, hands.heads @ turn.T + shift, hands.tails @ turn.T + shift,
+        hands.weights,
+    )  # fmt: skip
+    np.testing.assert_allclose(flatten(moved).vertices, flatten(hands).vertices, atol=1e-9)
+    np.testing.assert_allclose(flatten(moved).joints, flatten(hands).joints, atol=1e-9)
+
+
+def test_finger_shares_are_whole_on_the_shafts_and_mixed_in_the_webs(flat_hands):
+    share = finger_shares(flat_hands.vertices[0], flat_hands.faces, flat_hands.weights)
+    np.testing.assert_allclose(share.sum(1), 1, atol=1e-9)
+    assert share.min() > -1e-12  # the maximum principle
+    for f, knuckle in enumerate(KNUCKLES):
+        shaft = flat_hands.weights[:, knuckle : knuckle + 3].sum(1) > 0.9
+        assert (share[shaft, f] == 1).all()
+    assert (share.max(1) < 0.7).any()
+
+
+def test_moving_knuckles(flat_hands):
+    moved = move_knuckles(flat_hands, proximal=0.004, dorsal=0.001)
+    shift = moved.joints - flat_hands.joints
+    np.testing.assert_allclose(shift[:, KNUCKLES], np.broadcast_to([0.004, 0.001, 0], (30, 4, 3)), atol=1e-12)
+    assert not np.delete(shift, KNUCKLES, axis=1).any()
+    np.testing.assert_allclose(moved.weights.sum(1), 1, atol=1e-12)
+    assert moved.weights.min() >= 0
+    np.testing.assert_allclose(moved.weights[:, 13:], flat_hands.weights[:, 13:], atol=1e-4)
+    # Along the middle finger's ray the skin passes from palm to finger about the new knuckle.
+    knuckle = moved.joints.mean(0)[KNUCKLES[1]]
+    beyond, _, across = (flat_hands.vertices.mean(0) - knuckle).T * [[-1], [1], [1]]
+    share = finger_shares(flat_hands.vertices.mean(0), flat_hands.faces, flat_hands.weights)[:, 1]
+    follows = moved.weights[:, 4:7].sum(1)
+    assert follows[(share > 0.99) & (beyond > 0.015)].min() > 0.98
+    assert follows[beyond < -0.018].max() < 0.01
+    ray = (np.abs(across) < 0.008) & (np.abs(beyond) < 0.02)
+    assert np.corrcoef(beyond[ray], follows[ray])[0, 1] > 0.85
+
+
+def test_variation_of_nothing_is_nothing(flat_hands):
+    same = vary(flat_hands, seed=0, length=0, girth=0, breadth=0)
+    np.testing.assert_array_equal(same.vertices, flat_hands.vertices)
+    np.testing.assert_array_equal(same.joints, flat_hands.joints)
+
+
+def test_variation_changes_fingers_by_the_share_asked_for(flat_hands):
+    many = FlatHands(
+        np.repeat(flat_hands.vertices[:1], 400, 0), flat_hands.faces, np.repeat(flat_hands.joints[:1], 400, 0),
+        flat_hands.weights,
+    )  # fmt: skip
+    varied = vary(many, seed=0, length=0.05, girth=0, breadth=0)
+    for first in KNUCKLES:
+        bones = np.linalg.norm(varied.joints[:, first + 1] - varied.joints[:, first], axis=-1)
+        assert bones.std() / bones.mean() == pytest.approx(0.05, rel=0.12)
+        assert bones.mean() == pytest.approx(
+            np.linalg.norm(many.joints[0, first + 1] - many.joints[0, first]), rel=0.01
+        )
+    np.testing.assert_array_equal(varied.joints[:, KNUCKLES], many.joints[:, KNUCKLES])
+    np.testing.assert_array_equal(vary(many, seed=0, length=0.05, girth=0, breadth=0).vertices, varied.vertices)
+
+
+def test_calibration_gives_the_lengths_asked_for(flat_hands):
+    hands = calibrate(flat_hands, mean=0.2, deviation=0.004)
+    length = -hands.vertices[..., 0].min(1)
+    assert length.mean() == pytest.approx(0.2)
+    assert length.std() == pytest.approx(0.004)
+    ratio = hands.joints[:, 1:] / flat_hands.joints[:, 1:]
+    np.testing.assert_allclose(ratio, np.broadcast_to(ratio[:, :1, :1], ratio.shape), rtol=1e-9)  # shape kept
+
+
+def test_principal_shapes_find_the_directions_that_made_the_data():
+    rng = np.random.default_rng(0)
+    true = np.linalg.qr(rng.normal(size=(60, 3)))[0] * (5, 2, 1)
+    shapes = (rng.normal(size=(5000, 3)) @ true.T).reshape(5000, 20, 3) + 7
+    mean, directions, explained = principal_shapes(shapes, 3)
+    np.testing.assert_allclose(mean, 7, atol=0.2)
+    found = directions.reshape(60, 3)
+    cosine = np.abs((found * true).sum(0)) / np.linalg.norm(found, axis=0) / np.linalg.norm(true, axis=0)
+    assert (cosine > 0.99).all()
+    np.testing.assert_allclose(np.linalg.norm(found, axis=0), [5, 2, 1], rtol=0.05)
+    np.testing.assert_allclose(explained, np.array([25, 4, 1]) / 30, atol=0.02)
+
+
+def test_regressor_recovers_joints_inside_the_hand(flat_hands):
+    rows = joint_regressor(
+        flat_hands.vertices[:20], flat_hands.joints[:20], flat_hands.weights, [-1, *HandModel.open().parents[1:]]
+    )
+    assert rows.min() >= 0
+    np.testing.assert_allclose(rows.sum(1), 1)
+    error = np.linalg.norm(rows @ flat_hands.vertices[20:] - flat_hands.joints[20:], axis=-1)
+    assert error.mean() < 5e-4 and error.max() < 2e-3
+
+
+def test_mirroring_twice_is_nothing():
+    model = read_npz(OPEN_HANDS / "MANO_RIGHT.npz")
+    for name, array in mirrored(mirrored(model)).items():
+        np.testing.assert_array_equal(array, model[name], err_msg=name)
+
+
+def test_grasp_poses_keep_to_the_limits_and_their_components_are_orthonormal(anatomy):
+    poses = grasp_poses(anatomy, 500, seed=0)
+    np.testing.assert_array_equal(poses, grasp_poses(anatomy, 500, seed=0))
+    index_pip = anatomy.angle_names.index("index_pip")
+    joint = anatomy.angle_joints[index_pip] - 1
+    angle = poses.reshape(500, 15, 3)[:, joint] @ anatomy.angle_axes[index_pip].numpy()
+    low, high = anatomy.angle_limits[index_pip].tolist()
+    assert angle.min() >= low - 1e-6 and angle.max() <= high + 1e-6
+    components = principal_poses(poses)
+    np.testing.assert_allclose(components @ components.T, np.eye(45), atol=1e-6)
+    spread = (poses @ components.T).var(0)
+    assert (np.diff(spread[:20]) <= 1e-9).all()
+
+
+def test_without_anny_one_sentence(monkeypatch):
+    monkeypatch.setitem(sys.modules, "anny", None)
+    with pytest.raises(UserError, match="grabnet\\[open-hand\\]"):
+        sample_adults(1, 0)
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("anny") is None, reason="anny isn't installed: pip install -e .[open-hand]"
+)
+def test_rebuilding_gives_the_shipped_hand():
+    rebuilt, report = right_hand(sample_adults(400, seed=0), seed=0)
+    shipped = read_npz(OPEN_HANDS / "MANO_RIGHT.npz")
+    np.testing.assert_array_equal(rebuilt["f"], shipped["f"])
+    for name in ("v_template", "weights", "J_regressor", "shapedirs"):
+        np.testing.assert_allclose(rebuilt[name], shipped[name], atol=1e-4, err_msg=name)
+    assert report.joint_error[0] < 0.5 and report.joint_error[1] < 2.5
+    assert report.shape_error[0] < 0.6
