@@ -7,12 +7,12 @@ import io
 
 import numpy as np
 import pytest
+import smplx
 import torch
 
 from grabnet.body.hand import OPEN_HANDS, HandModel, HandParameters
 from grabnet.geometry.rotations import axis_angle_to_matrix, random_rotations
 
-smplx = pytest.importorskip("smplx")
 CLOSE = {"atol": 1e-5, "rtol": 0}
 
 
