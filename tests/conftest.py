@@ -12,6 +12,11 @@ from grabnet.body.hand import HandModel
 from grabnet.data.datamodule import OBJECT_MESHES
 from grabnet.data.frames import finish_store, write_shard
 from grabnet.files import replacing
+from grabnet.geometry.bps import BPS
+from grabnet.geometry.rotations import matrix_to_six_d
+from grabnet.models.coarsenet import CoarseNet
+from grabnet.models.grabber import Grabber
+from grabnet.models.refinenet import RefineNet
 
 TINY_OBJECTS = {
     "ball": lambda: trimesh.creation.icosphere(3, 0.035),
@@ -62,3 +67,23 @@ def tiny_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def hand() -> HandModel:
     """The open right hand."""
     return HandModel.open()
+
+
+@pytest.fixture(scope="session")
+def grabber(hand: HandModel) -> Grabber:
+    """Untrained small networks whose hands, nearly flat and each different, lie palm down around the object's top."""
+    torch.manual_seed(0)
+    coarsenet = CoarseNet(BPS(256), width=32, n_hidden=16)
+    refinenet = RefineNet(hand, width=32, n_hidden=16)
+    palm_down = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    with torch.no_grad():
+        rest = matrix_to_six_d(torch.stack([palm_down, *[torch.eye(3)] * 15])).flatten()
+        for layer, bias, size in (
+            (coarsenet.pose, rest, 0.3),
+            (coarsenet.transl, torch.tensor([0.04, 0.0, 0.045]), 0.02),
+            (refinenet.pose, torch.zeros(96), 0.05),
+            (refinenet.transl, torch.zeros(3), 0.005),
+        ):
+            layer.weight.mul_(size)
+            layer.bias.copy_(bias)
+    return Grabber(coarsenet, refinenet, hand, batch_size=16, n_turns=12)

@@ -22,12 +22,12 @@ def grasp_sheet(grasps: Grasps, size: int = 280) -> np.ndarray:
         views = [render(shapes, d, grasps.up, (size, size)) for d in _sides(grasps, hand)]
         tiles.append(np.concatenate(views, 1))
         touching = [finger for finger in FINGERS if record["contact_vertices"][finger]]
-        captions.append(
-            f"{record['index']}: {record['max_penetration_mm']:.1f} mm deep, touching {len(touching)} fingers"
-            if touching
-            else f"{record['index']}: no finger touches"
-        )
+        captions.append(f"{record['index']}: {record['max_penetration_mm']:.1f} mm deep · {_listed(touching)}")
     return contact_sheet(tiles, captions)
+
+
+def _listed(fingers: list[str]) -> str:
+    return "no finger touches" if not fingers else "all fingers touch" if fingers == [*FINGERS] else " ".join(fingers)
 
 
 def _sides(grasps: Grasps, hand: np.ndarray) -> list[np.ndarray]:

@@ -1,0 +1,52 @@
+import os
+
+import pytest
+
+from grabnet.errors import UserError
+from grabnet.files import sha256
+from grabnet.models.trained import check_hand, find_network
+from grabnet.models.weights import save_network
+
+
+@pytest.fixture
+def runs(tmp_path, grabber):
+    for k, (name, network) in enumerate(
+        [("coarse/old", grabber.coarsenet), ("coarse/new", grabber.coarsenet), ("fine", grabber.refinenet)]
+    ):
+        path = tmp_path / "runs" / name / "model.safetensors"
+        save_network(path, network, {"hand_sha256": sha256(grabber.hand.v_template.numpy())})
+        os.utime(path, (1000 + k, 1000 + k))
+    (tmp_path / "runs" / "broken").mkdir()
+    (tmp_path / "runs" / "broken" / "model.safetensors").write_bytes(b"not weights at all")
+    return tmp_path / "runs"
+
+
+def test_the_newest_of_its_kind_is_taken(runs):
+    assert find_network("CoarseNet", None, runs) == runs / "coarse" / "new" / "model.safetensors"
+    assert find_network("RefineNet", None, runs) == runs / "fine" / "model.safetensors"
+
+
+def test_a_named_run_is_taken(runs):
+    assert find_network("CoarseNet", runs / "coarse" / "old", runs) == runs / "coarse" / "old" / "model.safetensors"
+    file = runs / "fine" / "model.safetensors"
+    assert find_network("RefineNet", file, runs) == file
+
+
+def test_a_missing_network_is_told_with_what_exists(runs, tmp_path):
+    (runs / "fine" / "model.safetensors").unlink()
+    with pytest.raises(UserError) as told:
+        find_network("RefineNet", None, runs)
+    for part in ("RefineNet", "coarse/new (CoarseNet)", "make demo", "model=refinenet", "refinenet="):
+        assert part in str(told.value)
+    with pytest.raises(UserError, match="no trained network"):
+        find_network("CoarseNet", None, tmp_path / "nowhere")
+    with pytest.raises(UserError, match="does not exist"):
+        find_network("CoarseNet", runs / "mistyped", runs)
+
+
+def test_another_hand_is_refused(runs, grabber, tmp_path):
+    path = find_network("CoarseNet", None, runs)
+    check_hand(path, grabber.hand)
+    save_network(path, grabber.coarsenet, {"hand_sha256": "0" * 64})
+    with pytest.raises(UserError, match="another hand"):
+        check_hand(path, grabber.hand)

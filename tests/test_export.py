@@ -1,0 +1,136 @@
+import json
+
+import numpy as np
+import pytest
+import smplx
+import torch
+import trimesh
+from PIL import Image
+
+from grabnet.body.hand import OPEN_HANDS, HandModel, HandParameters
+from grabnet.body.loading import read_npz
+from grabnet.export import FORMATS, result_folders, write_grasps
+from grabnet.geometry.mesh import Mesh
+from grabnet.geometry.rotations import axis_angle_to_matrix
+from grabnet.grasps import Grasps
+from grabnet.visual.pictures import can_render
+
+# Millimetres, y up.
+TO_OBJECT = np.array([[0.001, 0, 0, 0], [0, 0, -0.001, 0], [0, 0.001, 0, 0], [0, 0, 0, 1]])
+
+
+@pytest.fixture(scope="module", params=["right", "left"])
+def grasps(request, grabber, cache_dir) -> Grasps:
+    box = trimesh.creation.box((50, 60, 70)).subdivide().subdivide()
+    mesh = Mesh(box.vertices + np.array([300, -200, 100]), box.faces)
+    return grabber.grasp(mesh, 3, 5, request.param, to_object=TO_OBJECT, cache_dir=cache_dir)
+
+
+@pytest.fixture(scope="module")
+def folder(grasps, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("out") / "deep" / "a bäll"
+    write_grasps(folder, grasps, {"name": "a bäll", "mesh": "/x"}, list(FORMATS), sheet=0)
+    return folder
+
+
+def test_parameters_pose_the_hand_in_smplx(folder, grasps):
+    """The field's own loader, given the numbers in the file, finds the vertices that were exported."""
+    saved = read_npz(folder / "grasps.npz")
+    assert saved["side"] == grasps.side
+    model = smplx.create(
+        str(OPEN_HANDS / f"MANO_{grasps.side.upper()}.npz"),
+        "mano",
+        ext="npz",
+        is_rhand=grasps.side == "right",
+        use_pca=False,
+        flat_hand_mean=True,
+        batch_size=3,
+    )
+    pose = {k: torch.tensor(saved[k]) for k in ("global_orient", "hand_pose", "transl", "betas")}
+    vertices = model(**pose).vertices.detach() * float(saved["units_per_metre"])
+    torch.testing.assert_close(vertices, grasps.vertices, atol=0.01, rtol=0)  # millimetres
+
+
+def test_parameters_pose_the_hand_model(folder, grasps):
+    saved = read_npz(folder / "grasps.npz")
+    hand = HandModel.open(grasps.side)
+    parameters = HandParameters(
+        axis_angle_to_matrix(torch.tensor(saved["global_orient"])),
+        axis_angle_to_matrix(torch.tensor(saved["hand_pose"]).unflatten(1, (15, 3))),
+        torch.tensor(saved["transl"]),
+    )
+    vertices = hand(parameters, hand.shaped(torch.tensor(saved["betas"]))).vertices * float(saved["units_per_metre"])
+    torch.testing.assert_close(vertices, grasps.vertices, atol=0.005, rtol=0)
+
+
+def test_every_format_holds_the_same_meshes(folder, grasps):
+    arrays = read_npz(folder / "meshes" / "meshes.npz")
+    np.testing.assert_array_equal(arrays["hand_vertices"], grasps.vertices)
+    np.testing.assert_array_equal(arrays["object_faces"], grasps.mesh.faces)
+    solid = trimesh.load(folder / "meshes" / "object.ply", process=False)
+    np.testing.assert_array_equal(solid.vertices.astype(np.float32), grasps.mesh.vertices)
+    for i in range(3):
+        ply = trimesh.load(folder / "meshes" / f"hand_{i:03d}.ply", process=False)
+        scene = trimesh.load(folder / "meshes" / f"grasp_{i:03d}.glb", process=False)
+        assert set(scene.graph.nodes_geometry) == {"object", "hand"}
+        for name in scene.graph.nodes_geometry:
+            np.testing.assert_array_equal(scene.graph[name][0], np.eye(4))
+        for hand in (ply, scene.geometry["hand"]):
+            np.testing.assert_array_equal(hand.vertices.astype(np.float32), grasps.vertices[i])
+            np.testing.assert_array_equal(hand.faces, grasps.faces)
+        np.testing.assert_array_equal(scene.geometry["object"].vertices.astype(np.float32), grasps.mesh.vertices)
+
+
+def test_json_holds_record_and_grasps(folder, grasps):
+    text = json.loads((folder / "grasps.json").read_text(encoding="utf-8"))
+    assert text["grasps"] == grasps.report()
+    assert text["name"] == "a bäll"
+
+
+def test_a_second_call_replaces_results_and_nothing_else(grasps, tmp_path):
+    folder = tmp_path / "out"
+    write_grasps(folder, grasps, {"name": "a"}, ["ply"], sheet=0)
+    (folder / "notes.txt").write_text("mine")
+    write_grasps(folder, grasps.first(1), {"name": "a"}, ["npz"], sheet=0, page=0)
+    assert sorted(p.name for p in folder.iterdir()) == ["grasps.json", "grasps.npz", "meshes", "notes.txt"]
+    assert [p.name for p in (folder / "meshes").iterdir()] == ["meshes.npz"]
+    assert len(read_npz(folder / "grasps.npz")["transl"]) == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out"]
+
+
+def test_a_call_that_fails_leaves_what_was_there(grasps, tmp_path):
+    folder = tmp_path / "out"
+    write_grasps(folder, grasps, {"name": "a"}, [], sheet=0)
+    before = {p.name: p.read_bytes() for p in folder.iterdir()}
+    with pytest.raises(TypeError):
+        write_grasps(folder, grasps, {"name": "a", "bad": object()}, [], sheet=0)
+    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
+    with pytest.raises(TypeError):
+        write_grasps(tmp_path / "new", grasps, {"name": "a", "bad": object()}, [], sheet=0)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out"]
+
+
+@pytest.mark.skipif(can_render() is not None, reason=str(can_render()))
+def test_contact_sheet_shows_hands_and_object(grasps, tmp_path):
+    write_grasps(tmp_path / "out", grasps, {"name": "a"}, [], sheet=2)
+    image = np.asarray(Image.open(tmp_path / "out" / "contact_sheet.png").convert("RGB")).astype(int)
+    warm, cool = image[..., 0] - image[..., 2] > 30, image[..., 2] - image[..., 0] > 15
+    for half in np.array_split(np.arange(image.shape[1]), 2):
+        assert warm[:, half].any() and cool[:, half].any()
+
+
+def test_folders_are_named_after_meshes_and_never_shared(tmp_path):
+    a, b, c = (tmp_path / d / "cup.obj" for d in "abc")
+    for mesh in (a, b, c):
+        mesh.parent.mkdir()
+        mesh.touch()
+    out = tmp_path / "out"
+    assert result_folders([a, b], out) == {a: out / "cup", b: out / "cup-2"}
+    for mesh, folder in result_folders([a, b], out).items():
+        folder.mkdir(parents=True)
+        (folder / "grasps.json").write_text(json.dumps({"mesh": str(mesh.resolve())}))
+    # Later calls, in any order: each mesh finds its own folder again, a third one gets a new one.
+    assert result_folders([c, b], out) == {c: out / "cup-3", b: out / "cup-2"}
+    (out / "bowl").mkdir()
+    (out / "bowl" / "photo.jpg").touch()
+    assert result_folders([tmp_path / "bowl.ply"], out) == {tmp_path / "bowl.ply": out / "bowl-2"}

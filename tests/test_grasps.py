@@ -1,0 +1,76 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from grabnet.body.anatomy import FINGERS
+from grabnet.body.hand import HandParameters
+from grabnet.geometry.mesh import Mesh
+from grabnet.grasps import Grasps
+
+
+def made_of(distances: torch.Tensor, finger: torch.Tensor, to_object: np.ndarray | None = None) -> Grasps:
+    n, v = distances.shape
+    ball = trimesh.creation.icosphere(1)
+    return Grasps(
+        mesh=Mesh(ball.vertices, ball.faces),
+        to_object=np.eye(4) if to_object is None else to_object,
+        side="right",
+        seed=7,
+        parameters=HandParameters(torch.zeros(n, 3, 3), torch.zeros(n, 15, 3, 3), torch.zeros(n, 3)),
+        betas=torch.zeros(n, 10),
+        object_transform=torch.eye(4).expand(n, 4, 4),
+        vertices=torch.zeros(n, v, 3),
+        faces=torch.tensor([[0, 1, 2]]),
+        finger=finger,
+        distances=distances,
+    )
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 2**31), st.integers(1, 4), st.integers(1, 40))
+def test_report_counts_vertex_by_vertex(seed, n, v):
+    rng = np.random.default_rng(seed)
+    distances, finger = rng.normal(0.003, 0.004, (n, v)).astype(np.float32), rng.integers(-1, 5, v)
+    report = made_of(torch.tensor(distances), torch.tensor(finger)).report()
+    assert len(report) == n
+    for i, record in enumerate(report):
+        depths = [-1000 * float(d) for d in distances[i] if d < 0]
+        assert record["max_penetration_mm"] == pytest.approx(max(depths, default=0), abs=1e-3)
+        assert record["mean_penetration_mm"] == pytest.approx(sum(depths) / max(len(depths), 1), abs=1e-3)
+        for part, name in enumerate([*FINGERS, "palm"]):
+            label = part if name != "palm" else -1
+            expected = sum(d < 0.0045 for d, f in zip(distances[i], finger, strict=True) if f == label)
+            assert record["contact_vertices"][name] == expected
+        assert (record["index"], record["seed"]) == (i, 7)
+
+
+def test_a_hand_far_away_reports_zeros():
+    record = made_of(torch.full((1, 5), 0.2), torch.tensor([-1, 0, 1, 2, 3])).report()[0]
+    assert record["max_penetration_mm"] == record["mean_penetration_mm"] == 0
+    assert not any(record["contact_vertices"].values())
+
+
+def test_units_and_up_follow_the_frame():
+    """A file in millimetres with y up."""
+    to_object = np.array([[0.001, 0, 0, 0], [0, 0, -0.001, 0], [0, 0.001, 0, 0], [0, 0, 0, 1]])
+    grasps = made_of(torch.zeros(1, 1), torch.tensor([0]), to_object)
+    assert grasps.units_per_metre == pytest.approx(1000)
+    np.testing.assert_allclose(grasps.up, (0, 1, 0), atol=1e-12)
+
+
+def test_first_keeps_whole_grasps():
+    grasps = made_of(torch.randn(5, 4), torch.tensor([0, 1, 2, -1]))
+    few = grasps.first(2)
+    assert len(few) == 2
+    assert few.report() == grasps.report()[:2]
+    for field in dataclasses.fields(Grasps):
+        value = getattr(few, field.name)
+        if isinstance(value, torch.Tensor) and field.name not in ("faces", "finger"):
+            assert len(value) == 2
+    assert all(len(x) == 2 for x in few.parameters)
+    assert len(grasps.first(9)) == 5

@@ -1,0 +1,139 @@
+"""The page in a real browser: it shows the grasps, turns them, and fetches nothing."""
+
+import re
+
+import numpy as np
+import pytest
+import trimesh
+
+from grabnet.geometry.mesh import Mesh
+from grabnet.visual.viewer import write_viewer
+
+from .browser import EXECUTABLE, Browser
+
+TITLE = 'tässe </script><b id="x">&amp;'
+
+
+@pytest.fixture(scope="module")
+def grasps(grabber, cache_dir):
+    box = trimesh.creation.box((0.05, 0.07, 0.06)).subdivide().subdivide()
+    return grabber.grasp(Mesh(box.vertices + np.array([0.3, -0.2, 0.1]), box.faces), 5, seed=2, cache_dir=cache_dir)
+
+
+@pytest.fixture(scope="module")
+def page(grasps, tmp_path_factory):
+    path = tmp_path_factory.mktemp("page") / "index.html"
+    write_viewer(path, grasps, TITLE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def browser(page, tmp_path_factory):
+    if EXECUTABLE is None:
+        pytest.skip("there is no Chromium to look at the page with")
+    with Browser(tmp_path_factory.mktemp("profile")) as browser:
+        browser.open(page)
+        yield browser
+
+
+def view(browser: Browser) -> np.ndarray:
+    """The pixels of the 3-D view without what is written over it."""
+    return browser.screenshot()[260:520, 260:690]
+
+
+def test_the_page_is_one_file(page):
+    text = page.read_text(encoding="utf-8")
+    assert not re.search(r"""(?:src|href)\s*=|url\(|@import|https?://|\bfetch\(|XMLHttpRequest|import\s*\(""", text)
+    assert "default-src 'none'" in text
+
+
+def test_nothing_goes_wrong_and_nothing_is_fetched(browser, page):
+    browser.wait("document.querySelectorAll('#list button').length === 5")
+    assert browser.log["exceptions"] == []
+    assert browser.log["console"] == []
+    assert browser.log["requests"] == [page.resolve().as_uri()]
+
+
+def test_title_and_measurements_are_those_of_the_grasps(browser, grasps):
+    assert browser.evaluate("document.getElementById('title').textContent") == TITLE
+    assert browser.evaluate("document.getElementById('x')") is None
+    browser.evaluate("show(1)")
+    facts = browser.evaluate("document.getElementById('facts').innerText")
+    record = grasps.report()[1]
+    assert "grasp 2 of 5" in facts
+    assert f"{record['max_penetration_mm']:.1f} mm" in facts
+    for part, count in record["contact_vertices"].items():
+        assert re.search(rf"{part}\s+{f'{count} in contact' if count else '–'}", facts)
+
+
+def test_geometry_survives_its_encoding(browser, grasps):
+    shown = np.array(browser.evaluate("Array.from(handVertices)")).reshape(5, -1, 3)
+    np.testing.assert_allclose(shown, grasps.vertices.numpy(), atol=1e-5)
+    solid = np.array(browser.evaluate("Array.from(object.vertices)")).reshape(-1, 3)
+    np.testing.assert_allclose(solid, grasps.mesh.vertices, atol=1e-5)
+    faces = np.array(browser.evaluate("Array.from(handFaces)")).reshape(-1, 3)
+    np.testing.assert_array_equal(faces, grasps.faces.numpy())
+    touching = np.array(browser.evaluate("Array.from(touching)")).reshape(5, -1)
+    assert touching.astype(bool).sum() == grasps.contact_vertices.sum()
+
+
+def test_the_view_is_drawn_and_turns(browser):
+    before = view(browser)
+    assert before.std() > 20
+    browser.drag((450, 400), (560, 430))
+    turned = view(browser)
+    assert (abs(turned - before).max(-1) > 30).mean() > 0.05
+    browser.drag((560, 430), (450, 400))
+    assert (abs(view(browser) - before).max(-1) > 30).mean() < 0.01  # there and back
+
+
+def test_dragging_carries_the_near_side_along(browser):
+    """A point on the viewer's side moves with the mouse: right by a drag to the right, down by one down."""
+    project = """(() => { const [right, up, back] = eye();
+                          const near = along([0, 0, 0], frame.radius, window.near ??= back);
+                          return [dot(near, right), dot(near, up)]; })()"""
+    browser.evaluate("window.near = undefined")
+    x, y = browser.evaluate(project)
+    assert (x, y) == (pytest.approx(0, abs=1e-9), pytest.approx(0, abs=1e-9))
+    browser.drag((450, 400), (470, 420))
+    x, y = browser.evaluate(project)
+    assert x > 0.001
+    assert y < -0.001
+
+
+def test_stepping_and_switches_change_the_view(browser):
+    browser.evaluate("show(0)")
+    first = view(browser)
+    browser.press("ArrowRight")
+    assert browser.evaluate("current") == 1
+    second = view(browser)
+    assert (second != first).any()
+    browser.evaluate("document.getElementById('previous').click()")
+    assert browser.evaluate("current") == 0
+    np.testing.assert_array_equal(view(browser), first)
+    browser.press("ArrowLeft")
+    assert browser.evaluate("current") == 4  # round the corner
+    browser.evaluate("document.querySelectorAll('#list button')[0].click()")
+    for switch in ("contacts", "ghost"):
+        browser.evaluate(f"document.getElementById('{switch}').click()")
+        changed = view(browser)
+        assert (abs(changed - first).max(-1) > 10).any(), switch
+        browser.evaluate(f"document.getElementById('{switch}').click()")
+
+
+def test_wheel_zooms(browser):
+    def covered() -> float:
+        return float((view(browser).max(-1) - view(browser).min(-1) > 25).mean())  # colour: hand or object
+
+    before = covered()
+    browser.mouse("mouseWheel", (450, 400), deltaX=0, deltaY=-300)
+    assert covered() > 1.1 * before
+
+
+def test_thumbnails_are_drawn(browser):
+    browser.wait(
+        "document.querySelector('#list canvas').getContext('2d').getImageData(0, 0, 128, 128).data.some(x => x)"
+    )
+    drawn = """[...document.querySelectorAll('#list canvas')].map(c =>
+               c.getContext('2d').getImageData(0, 0, 128, 128).data.filter((x, i) => i % 4 === 3 && x).length)"""
+    assert min(browser.evaluate(drawn)) > 500
