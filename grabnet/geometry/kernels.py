@@ -38,12 +38,3 @@ def signed_distance(
     if query.result:
         position = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
         distance[i] = query.sign * wp.length(position - points[i])
-
-
-@wp.kernel
-def distance_within(mesh: wp.uint64, points: wp.array(dtype=wp.vec3), distance: wp.array(dtype=float)):
-    """Unsigned distance, sought no further than what `distance` holds beforehand."""
-    i = wp.tid()
-    query = wp.mesh_query_point_no_sign(mesh, points[i], distance[i])
-    if query.result:
-        distance[i] = wp.length(wp.mesh_eval_position(mesh, query.face, query.u, query.v) - points[i])

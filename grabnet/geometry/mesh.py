@@ -161,7 +161,7 @@ def _check(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
         raise UserError(f"{path} has {len(vertices)} vertices but no faces: a point cloud must be meshed first.")
     if len(faces) > MAX_FACES:
         raise UserError(f"{path} has {len(faces):,} faces; simplify it to at most {MAX_FACES:,} (20,000 are plenty).")
-    if bad := int((~np.isfinite(vertices.astype(np.float32))).any(1).sum()):
+    if bad := int((~(np.abs(vertices) < np.finfo(np.float32).max)).any(1).sum()):
         raise UserError(f"{path} has {bad} vertices that are NaN or infinite: repair or export it again.")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise UserError(f"{path} has faces that name vertices beyond the {len(vertices)} it holds: export it again.")

@@ -63,12 +63,6 @@ class MeshQuery:
         launch(kernels.closest_point, [points, distance, position, face], [self._mesh.id, max_distance])
         return Closest(position, distance, face.long())
 
-    def distance_within(self, points: Tensor, bounds: Tensor) -> Tensor:
-        """Unsigned distances (N,), each sought no further than its bound (N,), which is returned where it is less."""
-        distance = bounds.clone()
-        launch(kernels.distance_within, [_prepared(points), distance], [self._mesh.id])
-        return distance
-
 
 def _prepared(points: Tensor) -> Tensor:
     return points.detach().float().contiguous()

@@ -16,6 +16,8 @@ from torch import Tensor
 
 from grabnet.files import replacing, sha256
 from grabnet.geometry.mesh import Mesh
+from grabnet.geometry.queries import MeshQuery
+from grabnet.geometry.sdf_sampling import sample
 
 # Part of the cache key: raise it when the same mesh and config would give other values.
 FORMAT = 1
@@ -43,6 +45,10 @@ class Level:
     spacing: float
     values: Tensor
 
+    def __post_init__(self):
+        if self.values.dtype != torch.float16 or self.values.dim() != 3 or min(self.values.shape) < 2:
+            raise ValueError(f"a level is (nx, ny, nz) float16, not {tuple(self.values.shape)} {self.values.dtype}")
+
 
 @dataclass(frozen=True)
 class SDFGrid:
@@ -58,27 +64,20 @@ class SDFGrid:
     @classmethod
     def build(cls, mesh: Mesh, config: AtlasConfig | None = None, device: torch.device | str = "cpu") -> SDFGrid:
         """Sample the signed distance of `mesh`, closed or open; one or two seconds for 40,000 faces."""
-        # Here and not above: warp takes a second to start, which a grid read from the cache need not wait for.
-        from grabnet.geometry.queries import MeshQuery
-        from grabnet.geometry.sdf_sampling import sample
-
         config = config or AtlasConfig()
         query = MeshQuery(mesh, device)
         low, high = mesh.bounds
-        boxes = {
-            config.fine_nodes: (low - config.fine_pad, high + config.fine_pad),
-            config.coarse_nodes: (
-                np.minimum(low - config.coarse_pad, mesh.centroid - config.coarse_radius),
-                np.maximum(high + config.coarse_pad, mesh.centroid + config.coarse_radius),
-            ),
-        }
-        levels = []
-        for nodes, (low, high) in boxes.items():
+        wide_low = np.minimum(low - config.coarse_pad, mesh.centroid - config.coarse_radius)
+        wide_high = np.maximum(high + config.coarse_pad, mesh.centroid + config.coarse_radius)
+
+        def level(low: np.ndarray, high: np.ndarray, nodes: int) -> Level:
             origin, spacing, dims = _lattice(low, high, nodes, config.stride)
             zone = max(config.exact_zone, 2 * spacing)
             values = sample(query, origin.to(device), spacing, dims, config.stride, zone, config.doubt)
-            levels.append(Level(tuple(origin.tolist()), spacing, values.cpu().half()))
-        return cls(*levels)
+            return Level(tuple(origin.tolist()), spacing, values.cpu().half())
+
+        fine = level(low - config.fine_pad, high + config.fine_pad, config.fine_nodes)
+        return cls(fine, level(wide_low, wide_high, config.coarse_nodes))
 
     @classmethod
     def load_or_build(
@@ -99,33 +98,36 @@ class SDFGrid:
         if path.exists():
             try:
                 return cls.load(path)
-            except (SafetensorError, OSError, KeyError, ValueError) as error:
+            except (SafetensorError, OSError, KeyError, ValueError, TypeError) as error:
                 warnings.warn(f"The cached grid {path} is damaged ({error}); it is built anew.", stacklevel=2)
         grid = cls.build(mesh, config, device)
-        grid.save(path)
+        try:
+            grid.save(path)
+        except OSError as error:
+            warnings.warn(f"{path} cannot be written ({error}): this grid is built anew next time.", stacklevel=2)
         return grid
 
     def save(self, path: str | Path) -> None:
         """Write as safetensors, atomically."""
-        meta = {
-            name: json.dumps([level.origin, level.spacing]) for name, level in zip(_NAMES, self.levels, strict=True)
-        }
+        levels = {"fine": self.fine, "coarse": self.coarse}
+        lattices = {name: json.dumps([level.origin, level.spacing]) for name, level in levels.items()}
         with replacing(path) as temporary:
-            save_file({name: level.values for name, level in zip(_NAMES, self.levels, strict=True)}, temporary, meta)
+            save_file({name: level.values for name, level in levels.items()}, temporary, lattices)
 
     @classmethod
     def load(cls, path: str | Path) -> SDFGrid:
-        """Read what `save` wrote."""
+        """Read what `save` wrote.
+
+        Raises:
+            SafetensorError, OSError, KeyError, ValueError, TypeError: not such a file.
+        """
         with safe_open(path, "pt") as file:
-            meta = file.metadata() or {}
+            lattices = file.metadata() or {}
             levels = []
-            for name in _NAMES:
-                origin, spacing = json.loads(meta[name])
-                levels.append(Level(tuple(origin), spacing, file.get_tensor(name)))
+            for name in ("fine", "coarse"):
+                (x, y, z), spacing = json.loads(lattices[name])
+                levels.append(Level((float(x), float(y), float(z)), float(spacing), file.get_tensor(name)))
         return cls(*levels)
-
-
-_NAMES = ("fine", "coarse")
 
 
 def default_cache() -> Path:

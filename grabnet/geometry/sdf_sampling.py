@@ -56,7 +56,7 @@ def _halved(query: MeshQuery, coarse: Tensor, origin: Tensor, spacing: float, zo
 
     distance = smooth.flatten()
     points = _positions(index, origin, spacing, signed.shape)
-    exact = query.distance_within(points, unsigned.flatten()[index] + 1.001 * reach)
+    exact = query.closest(points).distance
     # Where the surface is further than all parents, they lie on the node's own side.
     side = torch.where(exact > reach, signed.flatten()[index].sign(), 0)
     distance[index] = exact * side
