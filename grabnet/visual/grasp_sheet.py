@@ -6,7 +6,7 @@ import numpy as np
 
 from grabnet.body.anatomy import FINGERS
 from grabnet.grasps import Grasps
-from grabnet.visual.pictures import OBJECT, SKIN, Shape, contact_sheet, render
+from grabnet.visual.pictures import OBJECT, SKIN, Shape, contact_sheet, render_views
 
 
 def grasp_sheet(grasps: Grasps, size: int = 280) -> np.ndarray:
@@ -19,8 +19,7 @@ def grasp_sheet(grasps: Grasps, size: int = 280) -> np.ndarray:
     tiles, captions = [], []
     for hand, record in zip(grasps.vertices.numpy(), grasps.report(), strict=True):
         shapes = [solid, Shape(hand, grasps.faces, SKIN)]
-        views = [render(shapes, d, grasps.up, (size, size)) for d in _sides(grasps, hand)]
-        tiles.append(np.concatenate(views, 1))
+        tiles.append(np.concatenate(render_views(shapes, _sides(grasps, hand), grasps.up, (size, size)), 1))
         touching = [finger for finger in FINGERS if record["contact_vertices"][finger]]
         captions.append(f"{record['index']}: {record['max_penetration_mm']:.1f} mm deep · {_listed(touching)}")
     return contact_sheet(tiles, captions)

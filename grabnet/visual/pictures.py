@@ -84,41 +84,23 @@ def render(
     Returns:
         uint8 (height, width, 3), white where there is nothing.
     """
-    import pyvista
+    return render_views(shapes, [direction], up, size, zoom)[0]
 
-    points = [np.asarray(shape.vertices, np.float32) for shape in shapes]
-    view = _camera_axes(direction, up)
-    spread = np.concatenate(points) @ view.T
-    low, high = spread.min(0), spread.max(0)
-    centre, (width, height, depth) = (low + high) / 2 @ view, high - low
-    aspect = size[0] / size[1]
 
+def render_views(
+    shapes: Sequence[Shape],
+    directions: Sequence[Sequence[float]],
+    up: Sequence[float] = (0.0, 0.0, 1.0),
+    size: tuple[int, int] = (400, 400),
+    zoom: float = 1.0,
+) -> list[np.ndarray]:
+    """`render` from several directions, for little more than the time of one."""
     stage = _stage(size)
     stage.clear_actors()
-    for shape, vertices in zip(shapes, points, strict=True):
-        mesh = pyvista.PolyData.from_regular_faces(vertices, np.asarray(shape.faces))
-        color = shape.color if isinstance(shape.color, str) else np.asarray(shape.color, float)  # integers mean 0…255
-        per_vertex = np.ndim(color) == 2
-        stage.add_mesh(
-            mesh,
-            opacity=shape.opacity,
-            smooth_shading=True,
-            split_sharp_edges=not per_vertex,  # splitting would part the vertices from their colours
-            feature_angle=60,
-            ambient=0.12,
-            specular=0.12,
-            specular_power=12,
-            render=False,
-            **({"scalars": color, "rgb": True} if per_vertex else {"color": color}),
-        )
-    # A zero extent (no vertex off one point) still needs some frame.
-    scale = max(width / aspect, height, 1e-9)
-    stage.camera.position = centre + view[2] * (depth + 2 * scale)
-    stage.camera.focal_point, stage.camera.up = centre, view[1]
-    stage.camera.parallel_scale = 0.53 * scale / zoom
-    stage.renderer.ResetCameraClippingRange()
-    stage.render()  # otherwise the screenshot is the frame before
-    return np.array(stage.screenshot(return_img=True))
+    for shape in shapes:
+        _add(stage, shape)
+    points = np.concatenate([np.asarray(shape.vertices, np.float32) for shape in shapes])
+    return [_draw(stage, points, _camera_axes(direction, up), zoom) for direction in directions]
 
 
 def contact_sheet(
@@ -143,6 +125,7 @@ def contact_sheet(
     for i, tile in enumerate(tiles):
         x, y = i % columns * width, i // columns * (height + strip)
         sheet.paste(Image.fromarray(tile), (x, y))
+        draw.rectangle((x, y, x + width - 1, y + height + strip - 1), outline="#e6eaee")
         if captions is not None:
             draw.text((x + width / 2, y + height + strip / 2), captions[i], "#333333", font, anchor="mm")
     return np.asarray(sheet)
@@ -152,6 +135,40 @@ def save_image(path: str | Path, image: np.ndarray) -> None:
     """Write a uint8 (H, W, 3) image, atomically; the suffix chooses the format."""
     with replacing(path) as temporary:
         Image.fromarray(image).save(temporary)
+
+
+def _add(stage: pyvista.Plotter, shape: Shape) -> None:
+    import pyvista
+
+    color = shape.color if isinstance(shape.color, str) else np.asarray(shape.color, float)  # integers mean 0…255
+    per_vertex = np.ndim(color) == 2
+    stage.add_mesh(
+        pyvista.PolyData.from_regular_faces(np.asarray(shape.vertices, np.float32), np.asarray(shape.faces)),
+        opacity=shape.opacity,
+        smooth_shading=True,
+        split_sharp_edges=not per_vertex,  # splitting would part the vertices from their colours
+        feature_angle=60,
+        ambient=0.12,
+        specular=0.12,
+        specular_power=12,
+        render=False,
+        **({"scalars": color, "rgb": True} if per_vertex else {"color": color}),
+    )
+
+
+def _draw(stage: pyvista.Plotter, points: np.ndarray, view: np.ndarray, zoom: float) -> np.ndarray:
+    """What the stage holds, framed around `points` (N, 3) as seen along the axes `view`."""
+    spread = points @ view.T
+    low, high = spread.min(0), spread.max(0)
+    centre, (width, height, depth) = (low + high) / 2 @ view, high - low
+    aspect = stage.window_size[0] / stage.window_size[1]
+    scale = max(width / aspect, height, 1e-9)  # one point alone still needs some frame
+    stage.camera.position = centre + view[2] * (depth + 2 * scale)
+    stage.camera.focal_point, stage.camera.up = centre, view[1]
+    stage.camera.parallel_scale = 0.53 * scale / zoom
+    stage.renderer.ResetCameraClippingRange()
+    stage.render()  # otherwise the screenshot is the frame before
+    return np.array(stage.screenshot(return_img=True))
 
 
 def _camera_axes(direction: Sequence[float], up: Sequence[float]) -> np.ndarray:
@@ -173,7 +190,7 @@ def _stage(size: tuple[int, int]) -> pyvista.Plotter:
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)  # it complains about the missing screen, then does without
     stage = pyvista.Plotter(off_screen=True, window_size=size, lighting="none")
     stage.set_background("white")
-    stage.enable_anti_aliasing("ssaa")
+    stage.enable_anti_aliasing("msaa", multi_samples=8)
     stage.enable_parallel_projection()
     for position, intensity in (((-0.5, 0.8, 1.0), 0.75), ((1.0, -0.2, 0.6), 0.3), ((0.0, 0.1, 1.0), 0.25)):
         stage.add_light(pyvista.Light(position=position, light_type="camera light", intensity=intensity))

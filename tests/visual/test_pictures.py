@@ -104,7 +104,7 @@ def test_contact_sheet_keeps_every_tile_in_order():
     assert sheet.shape == (40, 90, 3)
     for i, tile in enumerate(tiles):
         y, x = i // 3 * 20, i % 3 * 30
-        np.testing.assert_array_equal(sheet[y : y + 20, x : x + 30], tile)
+        np.testing.assert_array_equal(sheet[y + 1 : y + 19, x + 1 : x + 29], tile[1:-1, 1:-1])  # within its frame
     assert (sheet[20:, 60:] == 255).all()
 
 
