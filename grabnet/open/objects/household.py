@@ -46,7 +46,7 @@ def toothpaste() -> Prop:
         box(0.022, 0.0024, 0.0024, rounding=0.001).at(0, 0, 0.0113).turned("x", a).at(0.066) for a in range(0, 360, 30)
     ]
     cap = union(cylinder(0.0113, 0.026).turned("y", 90).at(0.067), *ridges)
-    solid = union(tube, crimp, cap).at(z=0.0185)
+    solid = union(tube, crimp, cap).turned("y", -4).at(z=0.0166)
     return Prop(solid, (Region("body", (-0.075, -0.04, -0.01), (0.05, 0.04, 0.05), 0.85),))
 
 
@@ -117,7 +117,8 @@ def lightbulb() -> Prop:
     glass = lathe(
         [(0, 0.022), (0.0128, 0.022), (0.0135, 0.030), (0.0170, 0.042), (0.0255, 0.056), (0.0300, 0.073),
          (0.0275, 0.089),
-         (0.0185, 0.1005), (0.0085, 0.1045), (0, 0.105)]
+         (0.0185, 0.1005), (0.0085, 0.1045), (0, 0.105)],
+        smooth=True,
     )  # fmt: skip
     base = lathe([(0, 0), (0.0060, 0), (0.0065, 0.002), (0.0115, 0.005), (0.0120, 0.026), (0, 0.026)])
     angles = np.linspace(0, 6 * np.pi, 73)
@@ -140,6 +141,7 @@ def doorknob() -> Prop:
          (0.016, 0.031),
          (0.0255, 0.038), (0.0275, 0.047), (0.0245, 0.056), (0.015, 0.0605), (0, 0.062)],
         rounding=0.0005,
+        smooth=True,
     )  # fmt: skip
     lock = cylinder(0.0055, 0.004, rounding=0.001).at(z=0.0625) - box(0.0075, 0.0024, 0.01, rounding=0.0005).at(
         z=0.0665
@@ -163,7 +165,7 @@ def alarmclock() -> Prop:
     half_ball = sphere(0.0195) & box(0.06, 0.06, 0.04).at(z=0.021)
     bell = union(half_ball, capsule((0, 0, -0.012), (0, 0, 0.004), 0.004), sphere(0.0042).at(z=0.0205))
     bell = bell.turned("y", 33).at(0.028, 0, 0.047)
-    foot = capsule((0.024, 0, -0.036), (0.034, 0, -0.050), 0.0065, 0.0045)
+    foot = capsule((0.024, 0, -0.036), (0.034, 0, -0.050), 0.0075, 0.0065)
     handle = sweep([(-0.022, 0, 0.062), (-0.012, 0, 0.073), (0.012, 0, 0.073), (0.022, 0, 0.062)], 0.0028)
     hammer = capsule((0, 0, 0.040), (0, 0, 0.056), 0.0026) | sphere(0.0052).at(z=0.057)
     knobs = cylinder(0.008, 0.008).turned("x", 90).at(0.014, 0.021, 0) | cylinder(0.006, 0.008).turned("x", 90).at(

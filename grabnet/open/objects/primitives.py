@@ -1,13 +1,14 @@
-"""Primitive solids: balls, boxes, round cones; outlines turned, pushed out or swept along a curve. Metres throughout."""
+"""Primitive solids: balls, boxes, round cones; outlines turned, pushed out, swept along a curve. All in metres."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator, make_interp_spline
+from scipy.ndimage import map_coordinates
 
-from grabnet.open.objects.solid import FILLET, Array, Solid, as_points, pruned
+from grabnet.open.objects.solid import FILLET, REACH, Array, Solid, as_points, pruned
 
 Point = Sequence[float]
 
@@ -78,14 +79,15 @@ def sweep(points: Sequence[Point], radii: float | Sequence[float], smooth: bool 
 
 
 def lathe(profile: Sequence[Point], rounding: float = 0.0, smooth: bool = False) -> Solid:
-    """Closed outline of (radius, z) points turned about z; on the axis it may touch radius 0."""
-    outline = _smoothed_outline(profile) if smooth else as_points(profile)
+    """Closed outline of (radius, z) points turned about z, its blunt corners curved when `smooth`."""
+    outline = _smoothed(profile) if smooth else as_points(profile)
     top = np.array([outline[:, 0].max()] * 2 + [outline[:, 1].max()])
     bottom = np.array([-outline[:, 0].max()] * 2 + [outline[:, 1].min()])
 
+    flat = _tabulated(outline, on_axis=True)
+
     def distance(p: Array) -> Array:
-        radial = np.stack([np.hypot(p[:, 0], p[:, 1]), p[:, 2]], -1)
-        return _outline_distance(radial, outline, on_axis=True) - rounding
+        return flat(np.hypot(p[:, 0], p[:, 1]), p[:, 2]) - rounding
 
     return pruned(Solid(distance, bottom - rounding, top + rounding))
 
@@ -108,11 +110,13 @@ def loft(stations: Sequence[Point], rounding: float = 0.002) -> Solid:
 
 
 def extruded(outline: Sequence[Point], height: float, rounding: float = FILLET, smooth: bool = False) -> Solid:
-    """Closed (x, y) outline pushed out along z, centred, edges rounded; a closed spline when `smooth`."""
-    polygon = _smoothed_outline(outline) if smooth else as_points(outline)
+    """Closed (x, y) outline pushed out along z, centred, edges rounded; blunt corners curved when `smooth`."""
+    polygon = _smoothed(outline) if smooth else as_points(outline)
+
+    flat = _tabulated(polygon)
 
     def distance(p: Array) -> Array:
-        return _pushed(_outline_distance(p[:, :2], polygon), p[:, 2], height, rounding)
+        return _pushed(flat(p[:, 0], p[:, 1]), p[:, 2], height, rounding)
 
     return pruned(Solid(distance, np.array([*polygon.min(0), -height / 2]), np.array([*polygon.max(0), height / 2])))
 
@@ -123,7 +127,21 @@ def _pushed(flat: Array, z: Array, height: float, rounding: float) -> Array:
     return np.hypot(np.maximum(side, 0), np.maximum(end, 0)) + np.minimum(np.maximum(side, end), 0) - rounding
 
 
-def _outline_distance(p: Array, outline: Array, on_axis: bool = False) -> Array:
+def _tabulated(outline: Array, on_axis: bool = False, step: float = 0.00025) -> Callable[[Array, Array], Array]:
+    """Signed distance to a closed outline (M, 2), read from a table of pitch `step` as wide as `pruned` needs.
+
+    Linear between the nodes: 8 µm off at a bend of 1 mm radius, and many times faster than M segments a point.
+    """
+    low, high = outline.min(0) - REACH - step, outline.max(0) + REACH + step
+    if on_axis:
+        low[0] = 0
+    count = np.ceil((high - low) / step).astype(int) + 1
+    nodes = np.stack(np.meshgrid(*(low[i] + step * np.arange(count[i]) for i in range(2)), indexing="ij"), -1)
+    table = _outline_distance(nodes.reshape(-1, 2), outline, on_axis).reshape(count)
+    return lambda x, y: map_coordinates(table, [(x - low[0]) / step, (y - low[1]) / step], order=1, mode="nearest")
+
+
+def _outline_distance(p: Array, outline: Array, on_axis: bool) -> Array:
     """Signed distance of (N, 2) points to a closed polygon (M, 2); edges on x = 0 are no wall when `on_axis`."""
     best = np.full(len(p), np.inf)
     inside = np.zeros(len(p), bool)
@@ -147,9 +165,17 @@ def _resampled(path: Array, radius: Array, pieces: int) -> tuple[Array, Array]:
     return make_interp_spline(knots, path, k=min(3, len(path) - 1))(t), PchipInterpolator(knots, radius)(t)
 
 
-def _smoothed_outline(outline: Sequence[Point], pieces: int = 48) -> Array:
-    """Closed periodic spline through the points."""
-    closed = as_points([*outline, outline[0]])
-    knots = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=-1))])
-    spline = make_interp_spline(knots, closed, k=3, bc_type="periodic")
-    return spline(np.linspace(0, knots[-1], pieces, endpoint=False))
+def _smoothed(outline: Sequence[Point], corner: float = 40.0, pieces: int = 5) -> Array:
+    """Closed outline with a cubic through its points; turns of more than `corner` degrees stay corners."""
+    points = as_points(outline)
+    chord = np.roll(points, -1, 0) - points
+    length = np.linalg.norm(chord, axis=-1, keepdims=True)
+    forward, behind = chord / length, np.roll(length, 1, 0)
+    backward = np.roll(forward, 1, 0)
+    tangent = (length * backward + behind * forward) / (length + behind)  # the shorter side has more say
+    tangent *= np.minimum(length, behind)  # so that a long straight side does not bulge at a short neighbour
+    sharp = ((forward * backward).sum(-1) < np.cos(np.radians(corner)))[:, None]
+    leaving, arriving = np.where(sharp, chord, tangent), np.roll(np.where(sharp, np.roll(chord, 1, 0), tangent), -1, 0)
+    t = np.linspace(0, 1, pieces, endpoint=False)[:, None, None]
+    cubic = points + (3 * t**2 - 2 * t**3) * chord + (t - 2 * t**2 + t**3) * leaving + (t**3 - t**2) * arriving
+    return cubic.transpose(1, 0, 2).reshape(-1, 2)

@@ -17,7 +17,7 @@ Corner = tuple[float, float, float]
 class Region:
     """A part that people grasp: the surface inside an axis-aligned box of the object frame (metres).
 
-    `weight` is the share of grasps in use that go there; the shares of an object sum to at most 1, the rest is anywhere.
+    `weight` is the share of grasps in use that go there; an object's shares sum to at most 1, the rest go anywhere.
     """
 
     name: str
@@ -30,8 +30,8 @@ class Region:
 class Prop:
     """An object.
 
-    `upright`: using it keeps it about the way it stands (a full cup, but not a hammer). `edge`: metres, of its triangles;
-    the contact rules of the paper count vertices, which suits about 2 mm.
+    `upright`: using it keeps it about the way it stands (a full cup, not a hammer). `edge`: of its triangles,
+    metres; the paper's contact rule counts vertices, which suits about 2 mm.
     """
 
     solid: Solid

@@ -2,8 +2,8 @@
 
 A `Solid` is a function from points to signed distance (negative inside, metres) and a box that holds it. Solids join
 (`a | b`), cut (`a - b`) and intersect (`a & b`) with edges rounded by `FILLET`, so that every shape has the slightly
-soft edges of a printed prop; `blend` joins with a wider fillet. Distances are exact for the primitives but the ellipsoid,
-and never far from it after joining (Quilez, "Distance functions").
+soft edges of a printed prop; `blend` joins with a wider fillet. Distances are exact for most primitives, first-order
+for the elliptic ones, and stay close after joining (Quilez, "Distance functions").
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 FILLET = 0.002  # metres; joins and cuts are rounded over about this width
-_REACH = 0.02  # metres; wider than any blend
+REACH = 0.02  # metres; wider than any blend
 
 
 @dataclass(frozen=True)
@@ -108,15 +108,15 @@ def _smooth_max(a: Array, b: Array, radius: float) -> Array:
 
 
 def pruned(solid: Solid) -> Solid:
-    """The same solid, evaluated only within `_REACH` of its box; beyond, the distance to the box stands in for it.
+    """The same solid, evaluated only within `REACH` of its box; beyond, the distance to the box stands in for it.
 
-    That is a lower bound of the true distance, so nothing near any surface changes, while costly parts of a large object
-    are asked only about their surroundings.
+    That is a lower bound of the true distance, so nothing near any surface changes, while costly parts of a large
+    object are asked only about their surroundings.
     """
 
     def distance(p: Array) -> Array:
         value = np.linalg.norm(np.maximum(np.maximum(solid.low - p, p - solid.high), 0), axis=-1)
-        near = value < _REACH
+        near = value < REACH
         value[near] = solid.distance(p[near])
         return value
 

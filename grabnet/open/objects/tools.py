@@ -15,7 +15,7 @@ from grabnet.open.objects.primitives import (
     torus,
 )
 from grabnet.open.objects.prop import Prop, Region
-from grabnet.open.objects.solid import blend, union
+from grabnet.open.objects.solid import Solid, blend, union
 
 
 def hammer() -> Prop:
@@ -25,9 +25,9 @@ def hammer() -> Prop:
          (-0.080, 0.0120, 0.0095),
          (-0.040, 0.0110, 0.0085), (0.060, 0.0105, 0.0085), (0.088, 0.0105, 0.0085)]
     )  # fmt: skip
-    eye = box(0.027, 0.036, 0.024, rounding=0.004).at(0.073)
+    eye = box(0.027, 0.036, 0.0235, rounding=0.004).at(0.073)
     neck = cylinder(0.0095, 0.034).turned("x", 90).at(0.073, -0.028)
-    face = cylinder(0.0135, 0.020, rounding=0.003).turned("x", 90).at(0.073, -0.050)
+    face = cylinder(0.0125, 0.020, rounding=0.003).turned("x", 90).at(0.073, -0.050)
     claw_side = [
         (0.087, 0.010),
         (0.086, 0.030),
@@ -38,19 +38,17 @@ def hammer() -> Prop:
         (0.068, 0.028),
         (0.059, 0.010),
     ]
-    claw = extruded(claw_side, 0.022, smooth=False, rounding=0.0015)
-    notch = extruded([(0.02, 0.085), (0.095, 0.085), (0.0795, 0.034), (0.060, 0.034)], 0.004, rounding=0.001)
-    wedge = box(0.1, 0.05, 0.004).turned("y", 0).at(0.075, 0.062)
+    claw = extruded(claw_side, 0.022, rounding=0.0015)
+    notch = box(0.1, 0.05, 0.004).at(0.075, 0.062)
     solid = union(
-        blend(grip, eye, radius=0.004), blend(eye, neck, radius=0.006), face, blend(eye, claw - wedge, radius=0.004)
+        blend(grip, eye, radius=0.004), blend(eye, neck, radius=0.006), face, blend(eye, claw - notch, radius=0.004)
     )
-    del notch
     return Prop(solid.resting(), (Region("handle", (-0.2, -0.03, -0.01), (0.0, 0.03, 0.04), 0.95),))
 
 
 def scissors() -> Prop:
-    # Two mirrored halves, a little open, one above the other at the pivot.
-    def half(height: float) -> object:
+    # Two halves, a little open, one above the other at the pivot; in one piece, as printed.
+    def half() -> Solid:
         blade = extruded(
             [(-0.012, -0.007), (0.006, -0.0095), (0.050, -0.0085), (0.100, -0.0015), (0.104, 0.001),
              (0.010, 0.0045), (-0.012, 0.006)],
@@ -59,14 +57,12 @@ def scissors() -> Prop:
         )  # fmt: skip
         shank = sweep([(-0.006, -0.001, 0), (-0.020, 0.005, 0), (-0.034, 0.010, 0)], [0.0038, 0.0045, 0.0045])
         bow = torus(0.0185, 0.0048).stretched(x=1.3).at(-0.056, 0.0185, 0)
-        return blend(blade, shank, bow, radius=0.005).turned("z", -7).at(z=height)
+        return blend(blade, shank, bow, radius=0.005).turned("z", -7)
 
-    lower, upper = half(0.0048), half(0.0078).turned("x", 0)
-    flipped = half(0.0).turned("x", 180).at(z=0.0078)
-    pivot = cylinder(0.0058, 0.010, rounding=0.002).at(z=0.0063)
-    del upper
+    lower, upper = half().at(z=0.0060), half().turned("x", 180).at(z=0.0086)
+    pivot = cylinder(0.0058, 0.0105).at(z=0.0073)
     regions = (Region("bows", (-0.11, -0.06, -0.01), (-0.028, 0.06, 0.03), 0.95),)
-    return Prop(union(lower, flipped, pivot).resting(), regions)
+    return Prop(union(lower, upper, pivot), regions)
 
 
 def flashlight() -> Prop:
@@ -81,14 +77,15 @@ def flashlight() -> Prop:
     body = union(turned, *rings).turned("y", 90)
     button = box(0.014, 0.009, 0.006, rounding=0.002).at(0.012, 0, 0.0140)
     regions = (Region("grip", (-0.09, -0.03, -0.01), (0.035, 0.03, 0.06), 0.95),)
-    return Prop(union(body, button).at(z=0.024), regions)
+    return Prop(union(body, button).turned("y", -3.4).at(z=0.0204), regions)
 
 
 def stamp() -> Prop:
     handle = lathe(
         [(0, 0.012), (0.013, 0.012), (0.0095, 0.020), (0.0075, 0.032), (0.0090, 0.044), (0.0140, 0.054),
          (0.0165, 0.064),
-         (0.0140, 0.074), (0.0080, 0.0795), (0, 0.081)]
+         (0.0140, 0.074), (0.0080, 0.0795), (0, 0.081)],
+        smooth=True,
     )  # fmt: skip
     block = box(0.060, 0.028, 0.014).at(z=0.010)
     rubber = box(0.056, 0.024, 0.008, rounding=0.001).at(z=0.004)
@@ -106,7 +103,7 @@ def stapler() -> Prop:
         rounding=0.005,
     ).turned("x", 90)  # fmt: skip
     rail = box(0.118, 0.016, 0.010).turned("y", -8.0).at(0.003, 0, 0.021)
-    post = box(0.026, 0.026, 0.024, rounding=0.003).at(-0.054, 0, 0.012)
+    post = box(0.026, 0.026, 0.024, rounding=0.003).at(-0.054, 0, 0.014)
     anvil = box(0.020, 0.014, 0.004, rounding=0.001).at(0.056, 0, 0.008)
     regions = (Region("body", (-0.06, -0.03, 0.0), (0.07, 0.03, 0.06), 0.9),)
     return Prop(union(base, arm, rail, post, anvil), regions, upright=True)
@@ -145,7 +142,7 @@ def _rounded_rectangle(x: float, y: float, radius: float) -> list[tuple[float, f
 def gamecontroller() -> Prop:
     horn = sweep([(0.048, 0.012, 0.020), (0.060, -0.012, 0.019), (0.066, -0.040, 0.014)], [0.021, 0.019, 0.0135])
     side = blend(horn, ellipsoid(0.032, 0.028, 0.016).at(0.045, 0.012, 0.020), radius=0.012)
-    middle = box(0.090, 0.050, 0.026, rounding=0.010).at(0, 0.010, 0.019)
+    middle = box(0.090, 0.050, 0.034, rounding=0.010).at(0, 0.010, 0.0155)
     trigger = sweep([(0.034, 0.034, 0.021), (0.050, 0.035, 0.020), (0.062, 0.026, 0.019)], 0.006)
     stick = cylinder(0.0055, 0.014).at(0.021, -0.008, 0.036) | ellipsoid(0.0092, 0.0092, 0.0035).at(
         0.021, -0.008, 0.0455
@@ -162,12 +159,12 @@ def gamecontroller() -> Prop:
         Region("right grip", (0.035, -0.06, 0), (0.09, 0.03, 0.05), 0.7),
         Region("left grip", (-0.09, -0.06, 0), (-0.035, 0.03, 0.05), 0.2),
     )
-    return Prop(union(body, cross, *buttons, *small).resting(), regions, upright=True)
+    return Prop(union(body, cross, *buttons, *small).at(z=0.002), regions, upright=True)
 
 
 def camera() -> Prop:
     body = box(0.125, 0.040, 0.076, rounding=0.005).at(z=0.038)
-    grip = box(0.026, 0.030, 0.072, rounding=0.008).at(-0.048, -0.022, 0.037)
+    grip = box(0.026, 0.030, 0.072, rounding=0.008).at(-0.048, -0.022, 0.040)
     hump = (
         extruded([(-0.026, 0), (0.026, 0), (0.017, 0.018), (-0.017, 0.018)], 0.040, rounding=0.003)
         .turned("x", 90)
@@ -203,16 +200,17 @@ def binoculars() -> Prop:
         rounding=0.0005,
     ).turned("x", -90)  # fmt: skip
     eye = cylinder(0.0115, 0.010).turned("x", 90).at(y=-0.0585)
-    side = (barrel.cut(eye)).at(0.033, 0, 0.027)
+    side = barrel.cut(eye).at(x=0.033, z=0.027)
     hinge = cylinder(0.0085, 0.070).turned("x", 90).at(0, 0.002, 0.031)
     bridges = [box(0.040, 0.016, 0.014, rounding=0.003).at(0, y, 0.029) for y in (-0.016, 0.026)]
     wheel = cylinder(0.0115, 0.016).turned("x", 90).at(0, 0.005, 0.036)
-    solid = union(side.mirrored("x"), hinge, *bridges, wheel)
+    # Tilted so that the narrow eyepieces touch the table as well.
+    solid = union(side.mirrored("x"), hinge, *bridges, wheel).turned("x", 4.9)
     regions = (
         Region("right barrel", (0.012, -0.06, 0), (0.065, 0.07, 0.06), 0.5),
         Region("left barrel", (-0.065, -0.06, 0), (-0.012, 0.07, 0.06), 0.2),
     )
-    return Prop(solid.resting(), regions, upright=True)
+    return Prop(solid.at(z=-0.004), regions, upright=True)
 
 
 PROPS = {

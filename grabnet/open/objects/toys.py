@@ -87,7 +87,7 @@ def duck() -> Prop:
     )
     eye = sphere(0.0034).at(0.0375, 0.0150, 0.0800)
     solid = union(blend(body, breast, tail, head, radius=0.014), bill, (wing | eye).mirrored("y"))
-    base = box(0.2, 0.2, 0.08).at(z=0.0445)
+    base = box(0.2, 0.2, 0.2).at(z=0.1045)
     return Prop((solid & base).resting(), upright=True)
 
 
@@ -199,8 +199,8 @@ def hand() -> Prop:
 def flute() -> Prop:
     tube = lathe(
         [(0, -0.160), (0.0095, -0.160), (0.0115, -0.157), (0.0115, -0.110), (0.0095, -0.106), (0.0095, 0.100),
-         (0.0125, 0.104),
-         (0.0125, 0.118), (0.0095, 0.122), (0.0115, 0.150), (0.0115, 0.160), (0, 0.160)],
+         (0.0115, 0.104),
+         (0.0115, 0.118), (0.0095, 0.122), (0.0115, 0.150), (0.0115, 0.160), (0, 0.160)],
         rounding=0.0005,
     ).turned("y", 90)  # fmt: skip
     bore = cylinder(0.0068, 0.30).turned("y", 90).at(x=0.030)
