@@ -11,6 +11,14 @@ from grabnet.body.anatomy import FINGERS
 from grabnet.body.hand import HandParameters
 from grabnet.geometry.mesh import Mesh
 
+# What the numbers of a report are, kept beside them.
+DEFINITIONS = {
+    "max_penetration_mm": "depth of the deepest hand vertex inside the object",
+    "mean_penetration_mm": "mean depth of those hand vertices that are inside the object, 0 where none is",
+    "contact_vertices": "hand vertices inside the object or nearer to its surface than 4.5 mm",
+    "distance": "signed distance to the mesh itself, exact (no grid); inside is where the winding number exceeds 1/2",
+}
+
 
 @dataclass(frozen=True, eq=False)
 class Grasps:

@@ -16,6 +16,7 @@ from grabnet.errors import UserError
 from grabnet.export import FORMATS, result_folders, write_grasps
 from grabnet.files import existing, sha256
 from grabnet.geometry.mesh import check_size, file_to_object, load_mesh
+from grabnet.grasps import DEFINITIONS
 from grabnet.models.grabber import ORIENTATIONS, SIDES, Grabber
 from grabnet.models.trained import check_hand, find_network
 from grabnet.models.weights import load_coarsenet, load_refinenet
@@ -91,6 +92,7 @@ def sample(wanted: Sampling) -> int:
         **networks,
         "hand_sha256": sha256(grabber.hand.v_template.numpy()),
         "config": asdict(wanted),
+        "definitions": DEFINITIONS,
         "provenance": provenance(),
     }
     for file, folder in result_folders(files, Path(wanted.output).expanduser()).items():

@@ -88,23 +88,16 @@ class Grabber(nn.Module):
         # Right hands live in a world that, for a left grasp, is the mirror image of the one asked for. In that world
         # the object stands turned and mirrored: one orthogonal matrix.
         mirror = self.mirror if _one_of("side", side, SIDES) == "left" else torch.eye(3, device=device)
-        turns = _turns(orientation, self.n_turns, seed).to(device)
-        poses = turns @ mirror
-        bps = self._encode(atlas, poses[:n], centroid)
-        latent = _latent(-(-n // self.batch_size) * self.batch_size, self.coarsenet.latent_dim, seed).to(device)
-        turn = torch.arange(len(latent), device=device) % len(bps)
-        found = [
-            self._batch(atlas, centroid, poses[t], z, bps[t], rest)
-            for t, z in zip(turn.split(self.batch_size), latent.split(self.batch_size), strict=True)
-        ]
-        hands = HandParameters(*(torch.cat(x)[:n] for x in zip(*(parameters for parameters, _ in found), strict=True)))
-        distances = torch.cat([d for _, d in found])[:n]
+        turns = _turns(orientation, min(n, self.n_turns), seed).to(device)
+        hands, distances = self._sample(atlas, centroid, turns @ mirror, n, seed, rest)
 
         # The object's rigid pose (rotation, offset) in the world asked for, from its mesh's axes and origin in metres.
         scale = np.linalg.det(to_object[:3, :3]) ** (1 / 3)
-        axes, shift = (torch.as_tensor(x, device=device, dtype=torch.float32) for x in _rigid(to_object, scale))
-        turned = mirror @ turns[turn[:n]] @ mirror
+        axes = torch.as_tensor(to_object[:3, :3] / scale, device=device, dtype=torch.float32)
+        shift = torch.as_tensor(to_object[:3, 3], device=device, dtype=torch.float32)
+        turned = mirror @ turns[torch.arange(n, device=device) % len(turns)] @ mirror
         rotation, offset = turned @ axes, turned @ (shift - centroid)
+        # The way back is the inverse motion; the hands take it as right hands still, in the mirrored frame.
         back = (mirror @ rotation @ mirror).mT
         hands = self.hand.moved(hands, back, -(back @ (offset @ mirror).unsqueeze(-1)).squeeze(-1), rest)
         vertices = self.hand(hands, rest).vertices @ mirror
@@ -126,35 +119,38 @@ class Grabber(nn.Module):
             distances=distances.cpu(),
         )
 
-    def _encode(self, atlas: SDFAtlas, poses: Tensor, centroid: Tensor) -> Tensor:
-        """BPS (K, P) of the object in orthogonal poses (K, 3, 3)."""
-        objects = torch.zeros(len(poses), dtype=torch.int64, device=poses.device)
-        return self.coarsenet.bps.from_atlas(atlas, objects, poses, centroid.expand(len(poses), 3))
-
-    def _batch(
-        self, atlas: SDFAtlas, centroid: Tensor, poses: Tensor, z: Tensor, bps: Tensor, rest: Tensor
+    def _sample(
+        self, atlas: SDFAtlas, centroid: Tensor, poses: Tensor, n: int, seed: int, rest: Tensor
     ) -> tuple[HandParameters, Tensor]:
-        """Right hands in the centred world of objects in orthogonal poses (B, 3, 3), and their distances (B, V)."""
-        objects = torch.zeros(len(z), dtype=torch.int64, device=z.device)
+        """n right hands in the centred world of one object, and their distances (n, V) to it by the atlas.
 
-        def distances(vertices: Tensor) -> Tensor:
-            return atlas(vertices @ poses + centroid, objects)
+        Args:
+            poses: (K, 3, 3) orthogonal, of the object in the world; grasps take them in rotation.
+        """
+        n_filled = -(-n // self.batch_size) * self.batch_size
+        latent = _latent(n_filled, self.coarsenet.latent_dim, seed).to(centroid.device)
+        order = torch.arange(n_filled, device=centroid.device) % len(poses)
+        objects = torch.zeros_like(order)  # the atlas holds but this one
+        bps = self.coarsenet.bps.from_atlas(atlas, objects[: len(poses)], poses, centroid.expand(len(poses), 3))
+        batches = []
+        for z, chosen in zip(latent.split(self.batch_size), order.split(self.batch_size), strict=True):
+            pose = poses[chosen]
 
-        hands = self.coarsenet.decode(z, bps)
-        if self.refinenet is not None:
-            hands = self.refinenet(hands, distances, rest)
-        return hands, distances(self.hand(hands, rest).vertices)
+            def distances(vertices: Tensor, pose: Tensor = pose) -> Tensor:
+                return atlas(vertices @ pose + centroid, objects[: len(pose)])
+
+            hands = self.coarsenet.decode(z, bps[chosen])
+            if self.refinenet is not None:
+                hands = self.refinenet(hands, distances, rest)
+            batches.append((*hands, distances(self.hand(hands, rest).vertices)))
+        *parameters, measured = (torch.cat(parts)[:n] for parts in zip(*batches, strict=True))
+        return HandParameters(*parameters), measured
 
 
 def _measure(query: MeshQuery, vertices: Tensor, distances: Tensor) -> None:
     """Replace the atlas's distances (N, V) of vertices (N, V, 3) by exact ones, wherever they are near the surface."""
     near = distances < _EXACT_WITHIN
     distances[near] = query.signed_distance(vertices[near])
-
-
-def _rigid(similarity: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) and offset (3,) of a (4, 4) similarity of known scale."""
-    return similarity[:3, :3] / scale, similarity[:3, 3]
 
 
 def _mirrored(hands: HandParameters, mirror: Tensor) -> HandParameters:
