@@ -27,7 +27,7 @@ TINY_OBJECTS = {
 
 
 def write_tiny_dataset(root: Path, frames_per_sequence: int = 24, subjects: int = 2) -> Path:
-    """Hands about 10 cm from each of four primitives, in two subjects' shapes."""
+    """Hands on and about each of four primitives, in two subjects' shapes."""
     hand = HandModel.open()
     generator = torch.Generator().manual_seed(0)
     v_template = {f"s{k + 1}": hand.shaped(torch.randn(10, generator=generator)) for k in range(subjects)}
@@ -41,8 +41,8 @@ def write_tiny_dataset(root: Path, frames_per_sequence: int = 24, subjects: int 
 
             values = {
                 "global_orient": noise(3, size=0.3),
-                "hand_pose": noise(45, size=0.2),
-                "transl": torch.tensor([0.0, 0.05, 0.0]) + noise(3, size=0.01),
+                "hand_pose": noise(2, size=0.3) @ hand.hand_components[:2],
+                "transl": torch.tensor([0.0, 0.03, 0.0]) + noise(3, size=0.01),
                 "object_orient": noise(3, size=0.3),
                 "frame": torch.arange(frames_per_sequence),
             }

@@ -9,7 +9,7 @@ from torch.nn import functional as F
 
 from grabnet.body.hand import HandParameters
 from grabnet.geometry.bps import BPS
-from grabnet.geometry.rotations import six_d_to_matrix
+from grabnet.geometry.rotations import matrix_to_six_d, six_d_to_matrix
 from grabnet.models.layers import ResidualBlock, concatenate
 
 
@@ -43,6 +43,11 @@ class CoarseNet(nn.Module):
         self.decoder2 = ResidualBlock(n_decoder + width, width, n_hidden)
         self.pose = nn.Linear(width, n_joints * 6)
         self.transl = nn.Linear(width, 3)
+        # Training starts from about the flat hand. From the layer's own random start most joints begin bent by 90° and
+        # more, and many stay in such folds for thousands of steps.
+        with torch.no_grad():
+            self.pose.weight.mul_(0.1)
+            self.pose.bias.copy_(matrix_to_six_d(torch.eye(3)).repeat(n_joints))
 
     def encode(self, bps: Tensor, global_orient: Tensor, transl: Tensor) -> Normal:
         """Posterior over latent codes (B, latent_dim), given bps (B, P) in metres and the true wrist."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import torch
 from torch import Tensor, nn
 
 from grabnet.body.hand import HandModel, HandParameters
@@ -37,6 +38,11 @@ class RefineNet(nn.Module):
         self.dropout = nn.Dropout(dropout)
         self.pose = nn.Linear(width, n_joints * 6)
         self.transl = nn.Linear(width, 3)
+        # Training starts from about no correction: a random one, made three times, would throw the hand off first.
+        with torch.no_grad():
+            for layer in (self.pose, self.transl):
+                layer.weight.mul_(0.1)
+                layer.bias.zero_()
 
     def correction(self, distances: Tensor, pose: Tensor, transl: Tensor) -> tuple[Tensor, Tensor]:
         """Changes of pose (B, 96) and transl (B, 3) for hand→object distances (B, V) in metres."""
