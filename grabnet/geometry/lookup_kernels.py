@@ -39,9 +39,14 @@ def locate(
         level += 1
     n = dims[level]
     u = (p - origin[level]) / spacing[level]
-    last = wp.vec3(float(n[0] - 1), float(n[1] - 1), float(n[2] - 1))
-    inside = wp.max(wp.min(u, last), wp.vec3(0.0))
-    # Clamped as integers too, so that NaN reads within the buffer; the excess carries it on.
+    # A point outside is drawn towards the centre, until on the border: the surface nearest to it hardly changes so.
+    centre = 0.5 * wp.vec3(float(n[0] - 1), float(n[1] - 1), float(n[2] - 1))
+    ratio = wp.abs(wp.cw_div(u - centre, centre))
+    furthest = wp.max(wp.max(ratio[0], ratio[1]), ratio[2])
+    inside = u
+    if furthest > 1.0:
+        inside = centre + (u - centre) / furthest
+    # Clamped, so that even NaN reads within the buffer; the excess carries it on.
     x = wp.clamp(int(inside[0]), 0, n[0] - 2)
     y = wp.clamp(int(inside[1]), 0, n[1] - 2)
     z = wp.clamp(int(inside[2]), 0, n[2] - 2)

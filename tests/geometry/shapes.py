@@ -37,7 +37,9 @@ def torus_distance(p: np.ndarray, major: float = 0.04, minor: float = 0.012) -> 
 
 
 def capsule(radius: float = 0.012, length: float = 0.1) -> Mesh:
-    return mesh_of(trimesh.creation.capsule(length, radius, count=(96, 96)))
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=radius).vertices
+    ends = [ball[ball[:, 2] * side >= 0] + [0, 0, side * length / 2] for side in (-1, 1)]
+    return mesh_of(trimesh.convex.convex_hull(np.concatenate(ends)))
 
 
 def capsule_distance(p: np.ndarray, radius: float = 0.012, length: float = 0.1) -> np.ndarray:
