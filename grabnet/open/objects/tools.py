@@ -159,7 +159,7 @@ def gamecontroller() -> Prop:
         Region("right grip", (0.035, -0.06, 0), (0.09, 0.03, 0.05), 0.7),
         Region("left grip", (-0.09, -0.06, 0), (-0.035, 0.03, 0.05), 0.2),
     )
-    return Prop(union(body, cross, *buttons, *small).at(z=0.002), regions, upright=True)
+    return Prop(union(body, cross, *buttons, *small).at(z=0.0033), regions, upright=True)
 
 
 def camera() -> Prop:
@@ -187,7 +187,7 @@ def camera() -> Prop:
         Region("grip", (-0.07, -0.045, 0), (-0.030, 0.03, 0.09), 0.7),
         Region("lens", (-0.025, -0.075, 0), (0.05, -0.022, 0.075), 0.15),
     )
-    return Prop(solid, regions, upright=True)
+    return Prop(solid.at(z=0.0005), regions, upright=True)
 
 
 def binoculars() -> Prop:

@@ -1,0 +1,92 @@
+"""Write the open objects where GRAB keeps its own: tools/object_meshes/contact_meshes/<name>.ply."""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+import grabnet
+from grabnet.errors import UserError
+from grabnet.files import sha256, write_json
+from grabnet.geometry import isosurface
+from grabnet.geometry.mesh import save_mesh
+from grabnet.open.objects import OBJECTS, build_object
+
+MESHES = Path("tools/object_meshes/contact_meshes")
+PROVENANCE = Path("tools/object_meshes/open_objects.json")
+
+
+def write_objects(root: str | Path, processes: int = 2) -> list[Path]:
+    """Mesh every object of `OBJECTS` under the dataset folder `root`, with a progress bar.
+
+    Files that the present code already wrote are kept, so an interrupted call goes on where it stopped.
+    `open_objects.json` beside the meshes tells version, recipe, sizes, counts and hashes.
+
+    Returns:
+        the path of each mesh, in the order of `OBJECTS`.
+
+    Raises:
+        UserError: `processes` is less than 1, or `root` is not a folder that can be written.
+    """
+    root = Path(root)
+    if processes < 1:
+        raise UserError(f"processes is {processes}; objects are meshed by at least 1.")
+    try:
+        (root / MESHES).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"Cannot make {root / MESHES} ({error.strerror}); choose another --root.") from error
+
+    recipe = recipe_hash()
+    written = _up_to_date(root, recipe)
+    missing = [name for name in OBJECTS if name not in written]
+    columns = (TextColumn("Objects"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
+    # Spawned, not forked: a fork of a process with running threads (BLAS, torch) may hang.
+    with (
+        Progress(*columns, TimeElapsedColumn()) as progress,
+        ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool,
+    ):
+        task = progress.add_task("", total=len(OBJECTS), completed=len(written))
+        for future in as_completed([pool.submit(_write, name, root) for name in missing]):
+            name, facts = future.result()
+            written[name] = facts
+            objects = {name: written[name] for name in OBJECTS if name in written}
+            write_json(root / PROVENANCE, {"grabnet": grabnet.__version__, "recipe": recipe, "objects": objects})
+            progress.update(task, advance=1, description=name)
+    return [root / MESHES / f"{name}.ply" for name in OBJECTS]
+
+
+def recipe_hash() -> str:
+    """Digest of the source that decides the shapes: it changes whenever any object might."""
+    sources = sorted(Path(__file__).parent.glob("*.py"))
+    return sha256(*(path for path in sources if path.name != Path(__file__).name), Path(isosurface.__file__))
+
+
+def _write(name: str, root: Path) -> tuple[str, dict[str, Any]]:
+    mesh = build_object(name)
+    path = root / MESHES / f"{name}.ply"
+    save_mesh(path, mesh)
+    facts = {
+        "vertices": len(mesh.vertices),
+        "faces": len(mesh.faces),
+        "extents_mm": [round(1000 * float(side), 1) for side in mesh.extents],
+        "volume_cm3": round(1e6 * mesh.volume, 1),
+        "mesh": mesh.sha256,
+        "file": sha256(path),
+    }
+    return name, facts
+
+
+def _up_to_date(root: Path, recipe: str) -> dict[str, dict[str, Any]]:
+    """What the provenance file says of meshes that are still as the present recipe wrote them."""
+    try:
+        said = json.loads((root / PROVENANCE).read_text(encoding="utf-8"))
+        objects = said["objects"] if said["recipe"] == recipe else {}
+        files = {name: root / MESHES / f"{name}.ply" for name in objects if name in OBJECTS}
+        return {name: objects[name] for name, file in files.items() if sha256(file) == objects[name]["file"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}  # nothing there yet, or not ours: everything is meshed anew
