@@ -10,12 +10,12 @@ from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-import grabnet
 from grabnet.errors import UserError
 from grabnet.files import sha256, write_json
 from grabnet.geometry import isosurface
 from grabnet.geometry.mesh import save_mesh
 from grabnet.open.objects import OBJECTS, build_object
+from grabnet.provenance import provenance
 
 MESHES = Path("tools/object_meshes/contact_meshes")
 PROVENANCE = Path("tools/object_meshes/open_objects.json")
@@ -41,8 +41,8 @@ def write_objects(root: str | Path, processes: int = 2) -> list[Path]:
     except OSError as error:
         raise UserError(f"Cannot make {root / MESHES} ({error.strerror}); choose another --root.") from error
 
-    recipe = recipe_hash()
-    written = _up_to_date(root, recipe)
+    facts = provenance(recipe=recipe_hash())
+    written = _up_to_date(root, facts["recipe"])
     missing = [name for name in OBJECTS if name not in written]
     columns = (TextColumn("Objects"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
     # Spawned, not forked: a fork of a process with running threads (BLAS, torch) may hang.
@@ -52,10 +52,8 @@ def write_objects(root: str | Path, processes: int = 2) -> list[Path]:
     ):
         task = progress.add_task("", total=len(OBJECTS), completed=len(written))
         for future in as_completed([pool.submit(_write, name, root) for name in missing]):
-            name, facts = future.result()
-            written[name] = facts
-            objects = {name: written[name] for name in OBJECTS if name in written}
-            write_json(root / PROVENANCE, {"grabnet": grabnet.__version__, "recipe": recipe, "objects": objects})
+            name, written[name] = future.result()
+            write_json(root / PROVENANCE, facts | {"objects": {name: written[name] for name in sorted(written)}})
             progress.update(task, advance=1, description=name)
     return [root / MESHES / f"{name}.ply" for name in OBJECTS]
 
@@ -70,7 +68,7 @@ def _write(name: str, root: Path) -> tuple[str, dict[str, Any]]:
     mesh = build_object(name)
     path = root / MESHES / f"{name}.ply"
     save_mesh(path, mesh)
-    facts = {
+    return name, {
         "vertices": len(mesh.vertices),
         "faces": len(mesh.faces),
         "extents_mm": [round(1000 * float(side), 1) for side in mesh.extents],
@@ -78,7 +76,6 @@ def _write(name: str, root: Path) -> tuple[str, dict[str, Any]]:
         "mesh": mesh.sha256,
         "file": sha256(path),
     }
-    return name, facts
 
 
 def _up_to_date(root: Path, recipe: str) -> dict[str, dict[str, Any]]:
