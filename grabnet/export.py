@@ -29,12 +29,15 @@ def result_folders(meshes: Sequence[Path], output: Path) -> dict[Path, Path]:
     One that holds something other than earlier results of this very mesh is passed over for `<name>-2` and so on:
     meshes of the same name from different places never overwrite each other.
     """
-    taken: dict[Path, Path] = {}
+    folders: dict[Path, Path] = {}
+    taken: set[str] = set()
     for mesh in meshes:
         names = itertools.chain([mesh.stem], (f"{mesh.stem}-{k}" for k in itertools.count(2)))
-        folders = (output / name for name in names)
-        taken[mesh] = next(f for f in folders if f not in taken.values() and _free_for(mesh, f))
-    return taken
+        # Some file systems take Cup and cup for the same.
+        name = next(n for n in names if n.casefold() not in taken and _free_for(mesh, output / n))
+        taken.add(name.casefold())
+        folders[mesh] = output / name
+    return folders
 
 
 def _free_for(mesh: Path, folder: Path) -> bool:

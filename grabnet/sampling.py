@@ -59,6 +59,8 @@ class Sampling:
                 raise UserError(f"{name} is {getattr(self, name)}; it must be at least {least}.")
         if not (math.isfinite(self.scale) and self.scale > 0):
             raise UserError(f"scale is {self.scale}; it must be a positive number of metres per unit of the mesh.")
+        if wrong := [b for b in self.betas or [] if not isinstance(b, float | int)]:
+            raise UserError(f"betas holds {wrong[0]!r}; it must be a list of numbers.")
         options = {"hand": SIDES, "orientation": ORIENTATIONS, "up": (None, "x", "y", "z")}
         for name, values in options.items():
             if getattr(self, name) not in values:
@@ -106,7 +108,7 @@ def sample(wanted: Sampling) -> int:
                 wanted.seed,
                 wanted.hand,
                 wanted.orientation,
-                None if wanted.betas is None else torch.tensor(wanted.betas),
+                None if wanted.betas is None else torch.tensor(wanted.betas, dtype=torch.float32),
                 to_object,
                 wanted.cache_dir,
             )

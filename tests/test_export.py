@@ -126,6 +126,7 @@ def test_folders_are_named_after_meshes_and_never_shared(tmp_path):
         mesh.touch()
     out = tmp_path / "out"
     assert result_folders([a, b], out) == {a: out / "cup", b: out / "cup-2"}
+    assert result_folders([a, tmp_path / "Cup.ply"], out)[tmp_path / "Cup.ply"] == out / "Cup-2"
     for mesh, folder in result_folders([a, b], out).items():
         folder.mkdir(parents=True)
         (folder / "grasps.json").write_text(json.dumps({"mesh": str(mesh.resolve())}))

@@ -134,7 +134,7 @@ def test_output_that_cannot_be_written_is_told(call, folder, tmp_path, capsys):
 
 
 def test_without_refinenet(call, folder, tmp_path, capsys):
-    assert call(mesh=str(folder / "ball.obj"), refine=False) == 0
+    assert call(mesh=str(folder / "ball.obj"), refine=False, betas=[1, -0.5]) == 0
     assert "refinenet:" not in capsys.readouterr().out
     assert "refinenet_sha256" not in results(tmp_path / "out", "ball")
 
@@ -151,6 +151,7 @@ def test_without_refinenet(call, folder, tmp_path, capsys):
         ({"up": "w"}, "x, y, z"),
         ({"format": ["glb", "fbx"]}, "glb, ply, npz"),
         ({"betas": [0.0] * 11}, "betas has 11 values"),
+        ({"betas": [1, "big"]}, "betas holds 'big'"),
         ({"runs": "/nowhere"}, "make demo"),
     ],
 )
