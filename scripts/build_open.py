@@ -2,6 +2,7 @@
 
     python scripts/build_open.py hand               # the open hand, right and left (needs anny)
     python scripts/build_open.py objects            # object meshes, in the layout of GRAB
+    python scripts/build_open.py grasps             # right-hand grasps of all objects (half an hour)
     python scripts/build_open.py --help
 
 One subparser below per thing to build; what it does lives in grabnet/open/.
@@ -37,6 +38,12 @@ def objects(arguments: argparse.Namespace) -> None:
     write_objects(arguments.root, processes=arguments.processes)
 
 
+def grasps(arguments: argparse.Namespace) -> None:
+    from grabnet.open.grasps.building import build_grasps
+
+    build_grasps(arguments.file, arguments.objects, arguments.per_object, arguments.seed, arguments.processes)
+
+
 def parser() -> argparse.ArgumentParser:
     main = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = main.add_subparsers(dest="command", required=True, metavar="hand | objects | grasps")
@@ -52,6 +59,16 @@ def parser() -> argparse.ArgumentParser:
     command.add_argument("--root", type=Path, default=Path("data/open"), help="dataset folder (default: %(default)s)")
     command.add_argument("--processes", type=int, default=2, help="objects meshed at once (default: %(default)s)")
     command.set_defaults(run=objects)
+
+    command = commands.add_parser("grasps", help="grasps of the open objects by ten subjects, checked in simulation")
+    command.add_argument(
+        "--file", type=Path, default=Path("assets/open_grasps/grasps.safetensors"), help="(default: %(default)s)"
+    )
+    command.add_argument("--objects", nargs="+", metavar="NAME", help="(default: all)")
+    command.add_argument("--per-object", type=int, default=220, help="grasps of each (default: %(default)s)")
+    command.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
+    command.add_argument("--processes", type=int, default=2, help="objects at once (default: %(default)s)")
+    command.set_defaults(run=grasps)
 
     return main
 

@@ -1,0 +1,70 @@
+"""The command that makes the shipped grasps: all objects, with progress, a table of results and the files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from grabnet.errors import UserError
+from grabnet.open.grasps.store import OpenGrasps, write_asset
+from grabnet.open.grasps.synthesise import ObjectGrasps, SynthesisConfig, subject_betas, synthesise
+from grabnet.open.objects import OBJECTS
+
+_COLUMNS = {
+    "grasps": "grasps",
+    "accepted": "accepted",
+    "stable": "stable",
+    "clear_of_table": "clear of table",
+    "max_penetration_mm": "max pen. mm",
+    "mean_penetration_mm": "mean pen. mm",
+    "contact_vertices": "contacts",
+    "fingers_in_contact": "fingers",
+    "kinds": "pinch/tripod/precision/power/lateral",
+}
+
+
+def build_grasps(
+    path: str | Path, objects: Sequence[str] | None, per_object: int, seed: int, processes: int
+) -> OpenGrasps:
+    """Synthesise grasps and write them to `path`, with provenance and a report beside.
+
+    Args:
+        objects: names; all when omitted.
+
+    Raises:
+        UserError: unknown object, or numbers that ask for nothing.
+    """
+    names = list(objects or OBJECTS)
+    if unknown := sorted(set(names) - set(OBJECTS)):
+        raise UserError(f"There is no open object {', '.join(unknown)}; choose from {', '.join(OBJECTS)}.")
+    if per_object < 1 or processes < 1:
+        raise UserError(f"--per-object {per_object} and --processes {processes} must be at least 1.")
+    config = SynthesisConfig(per_object=per_object)
+    console = Console()
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    found: list[ObjectGrasps] = []
+    with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console) as progress:
+        task = progress.add_task("grasps", total=len(names))
+        for done in synthesise(names, config, seed, processes):
+            found.append(done)
+            row = done.report
+            progress.console.print(
+                f"{done.name}: {row['grasps']} grasps, {row['accepted']:.0%} accepted, {row['stable']:.0%} stable"
+            )
+            progress.advance(task)
+    grasps = write_asset(Path(path), found, subject_betas(config, seed), config, seed)
+    console.print(_table(found))
+    console.print(f"Wrote {len(grasps)} grasps of {len(found)} objects to {path}.")
+    return grasps
+
+
+def _table(found: Sequence[ObjectGrasps]) -> Table:
+    table = Table("object", *_COLUMNS.values())
+    for result in sorted(found, key=lambda o: o.name):
+        cells = (result.report[column] for column in _COLUMNS)
+        table.add_row(result.name, *("/".join(map(str, c.values())) if isinstance(c, dict) else str(c) for c in cells))
+    return table
