@@ -199,7 +199,9 @@ def _flipped(vertices: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-300)
     flat = (normal[owner[one]] * normal[owner[two]]).sum(-1) > 0.9
     new_key = np.minimum(k, m) * len(vertices) + np.maximum(k, m)
-    wanted = np.flatnonzero((gain > 1e-6) & flat & ~np.isin(new_key, key) & (k != m))
+    edges = key[one]  # sorted
+    exists = edges[np.minimum(np.searchsorted(edges, new_key), len(edges) - 1)] == new_key
+    wanted = np.flatnonzero((gain > 1e-6) & flat & ~exists & (k != m))
     if not len(wanted):
         return faces
     # An edge goes ahead when it has the largest gain of all wanted edges at either of its triangles and its vertices.

@@ -28,12 +28,13 @@ class AtlasConfig:
     """How a mesh's signed distance is stored; lengths in metres."""
 
     fine_nodes: int = 128**3  # at most this many nodes around the object; 2 bytes each
-    coarse_nodes: int = 64**3  # at most this many in the wide box, where distance is long and smooth
     fine_pad: float = 0.02  # fine box beyond the mesh: fingers that touch it lie within
-    coarse_pad: float = 0.06  # coarse box beyond the mesh
+    fine_stride: int = 8  # nodes from one to the next of those sampled first: a power of 2
+    coarse_nodes: int = 80**3  # at most this many in the wide box, where distance is long and smooth
+    coarse_pad: float = 0.06  # wide box beyond the mesh
     coarse_radius: float = 0.16  # and at least this far from the centroid: the BPS ball of 15 cm fits in any rotation
-    exact_zone: float = 0.005  # nodes closer than this to the surface are queried exactly
-    stride: int = 4  # nodes between those of the first, exact lattice: a power of 2
+    coarse_stride: int = 4
+    exact_zone: float = 0.003  # nodes closer than this to the surface are queried exactly
     doubt: float = 0.005  # nodes beyond the zone are interpolated unless two predictions differ by this share of them
 
 
@@ -70,14 +71,15 @@ class SDFGrid:
         wide_low = np.minimum(low - config.coarse_pad, mesh.centroid - config.coarse_radius)
         wide_high = np.maximum(high + config.coarse_pad, mesh.centroid + config.coarse_radius)
 
-        def level(low: np.ndarray, high: np.ndarray, nodes: int) -> Level:
-            origin, spacing, dims = _lattice(low, high, nodes, config.stride)
-            zone = max(config.exact_zone, 2 * spacing)
-            values = sample(query, origin.to(device), spacing, dims, config.stride, zone, config.doubt)
+        def level(low: np.ndarray, high: np.ndarray, nodes: int, stride: int, zone: float) -> Level:
+            origin, spacing, dims = _lattice(low, high, nodes, stride)
+            values = sample(query, origin.to(device), spacing, dims, stride, zone, config.doubt)
             return Level(tuple(origin.tolist()), spacing, values.cpu().half())
 
-        fine = level(low - config.fine_pad, high + config.fine_pad, config.fine_nodes)
-        return cls(fine, level(wide_low, wide_high, config.coarse_nodes))
+        fine_low, fine_high = low - config.fine_pad, high + config.fine_pad
+        fine = level(fine_low, fine_high, config.fine_nodes, config.fine_stride, config.exact_zone)
+        # The coarse level is not read near the surface.
+        return cls(fine, level(wide_low, wide_high, config.coarse_nodes, config.coarse_stride, 0.0))
 
     @classmethod
     def load_or_build(
