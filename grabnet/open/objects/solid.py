@@ -115,12 +115,17 @@ def pruned(solid: Solid) -> Solid:
     """
 
     def distance(p: Array) -> Array:
-        value = np.linalg.norm(np.maximum(np.maximum(solid.low - p, p - solid.high), 0), axis=-1)
+        value = length(np.maximum(np.maximum(solid.low - p, p - solid.high), 0))
         near = value < REACH
         value[near] = solid.distance(p[near])
         return value
 
     return Solid(distance, solid.low, solid.high)
+
+
+def length(vectors: Array) -> Array:
+    """(N, D) to (N,); for short rows several times faster than `np.linalg.norm`."""
+    return np.sqrt(np.einsum("nd,nd->n", vectors, vectors))
 
 
 def as_points(points: ArrayLike) -> Array:
