@@ -47,7 +47,7 @@ def load_coarsenet(path: str | Path) -> CoarseNet:
 
 
 def load_refinenet(path: str | Path, hand: HandModel) -> RefineNet:
-    """RefineNet in eval mode from a run folder or a `model.safetensors`; `hand` must have the vertices it was made for."""
+    """RefineNet in eval mode from a run folder or a `model.safetensors`; `hand` must have its number of vertices."""
     sizes, tensors = _read(path, "RefineNet")
     n_vertices = len(tensors["distance_norm.weight"])
     if n_vertices != len(hand.v_template):
