@@ -28,7 +28,7 @@ def toothbrush() -> Prop:
     head = box(0.032, 0.013, 0.0055, rounding=0.0025).at(0.078)
     tufts = [
         capsule((x, y, 0.001), (x, y, 0.0115), 0.0022)
-        for x in (0.0675, 0.0727, 0.0779, 0.0831, 0.0883)
+        for x in (0.0675, 0.0742, 0.0809, 0.0876)
         for y in (-0.0034, 0.0034)
     ]
     solid = union(blend(handle, head, radius=0.006), *tufts)
