@@ -12,11 +12,11 @@ from grabnet.data.batches import GraspBatch
 from grabnet.geometry.nearest import signed_offset
 from grabnet.losses.terms import (
     PointWeights,
+    edge_differences,
     edge_l1,
     hand_to_object_l1,
     kl_to_standard_normal,
     object_to_hand_l1,
-    unique_edges,
     vertex_l1,
 )
 
@@ -48,7 +48,7 @@ class ReconstructionLoss(nn.Module):
         self.vertex, self.edge, self.hand_to_object = vertex, edge, hand_to_object
         self.register_buffer("vertex_weight", evened if vertices_by_root else likelihood, False)
         self.register_buffer("distance_weight", evened, False)
-        self.register_buffer("edges", unique_edges(hand.faces), False)
+        self.register_buffer("edges", edge_differences(hand.faces, len(hand.v_template)), False)
         self.register_buffer("faces", hand.faces, False)
 
     def forward(self, vertices: Tensor, batch: GraspBatch) -> dict[str, Tensor]:
