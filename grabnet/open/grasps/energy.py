@@ -144,7 +144,8 @@ def sphere_clearance(hand: GraspHand) -> Tensor:
     palm = finger == -1
     joined = (near_palm.unsqueeze(1) & palm) | (palm.unsqueeze(1) & near_palm)
     separate = (finger.unsqueeze(1) != finger) & ~joined
-    rest = hand.posed(GraspPose(torch.eye(3)[None], hand.joints[:1], torch.zeros(1, 21))).spheres[0]
+    flat = GraspPose(torch.eye(3).to(hand.rest)[None], hand.joints[:1], hand.rest.new_zeros(1, 21))
+    rest = hand.posed(flat).spheres[0]
     apart = torch.minimum(0.92 * (hand.radii.unsqueeze(1) + hand.radii), 0.97 * torch.cdist(rest, rest))
     return apart * separate
 

@@ -1,0 +1,38 @@
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from grabnet.body.anatomy import Anatomy
+from grabnet.body.hand import HandModel
+from grabnet.open.grasps.posing import GraspHand
+from grabnet.open.grasps.synthesise import SynthesisConfig, angle_limits
+from grabnet.open.grasps.templates import TemplateConfig, build_templates
+
+
+@pytest.fixture(scope="session")
+def model() -> HandModel:
+    return HandModel.open()
+
+
+@pytest.fixture(scope="session")
+def anatomy(model) -> Anatomy:
+    return Anatomy.of(model)
+
+
+@pytest.fixture(scope="session")
+def hand(model, anatomy) -> GraspHand:
+    return GraspHand(model, anatomy, torch.zeros(10))
+
+
+@pytest.fixture(scope="session")
+def limits(anatomy) -> Tensor:
+    return angle_limits(anatomy, SynthesisConfig())
+
+
+@pytest.fixture(scope="session")
+def templates(hand, limits):
+    """Coarser than the shipped ones, in a fifth of the time."""
+    torch.set_num_threads(1)
+    return build_templates(hand, limits, TemplateConfig(openings=9, iterations=120, learning_rate=0.04))

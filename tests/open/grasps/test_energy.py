@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import torch
+
+from grabnet.body.anatomy import Anatomy
+from grabnet.body.hand import HandModel
+from grabnet.geometry.rotations import axis_angle_to_matrix
+from grabnet.open.grasps.energy import EnergyConfig, GraspEnergy, overlaps, sphere_clearance
+from grabnet.open.grasps.posing import GraspHand, GraspPose
+from grabnet.open.grasps.posture import PostureConfig
+from grabnet.open.grasps.proposals import Proposals
+from grabnet.open.grasps.templates import KINDS
+
+from .scenes import ball
+
+
+def test_gradient_matches_finite_differences(limits):
+    model = HandModel.open(dtype=torch.float64)
+    hand = GraspHand(model, Anatomy.of(model), torch.zeros(10, dtype=torch.float64))
+    n = len(KINDS)
+    generator = torch.Generator().manual_seed(1)
+    angles = 0.3 + 0.4 * torch.rand(n, 21, generator=generator, dtype=torch.float64)
+    turn = 0.3 * torch.randn(n, 3, generator=generator, dtype=torch.float64)
+    wrist = hand.joints[:1] + 0.01 * torch.randn(n, 3, generator=generator, dtype=torch.float64)
+    start = GraspPose(axis_angle_to_matrix(turn), wrist, angles)
+    none = torch.zeros(n, dtype=torch.int64)
+    forward = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64).expand(n, 3)
+    proposals = Proposals(start, torch.arange(n), none, none == 0, forward)
+    scene = ball(0.025, (0.0, -0.035, 0.0))
+    scene.floor = -0.03
+    energy = GraspEnergy(scene, hand, proposals, angles + 0.1, limits.double(), EnergyConfig(), PostureConfig())
+
+    def value(x):
+        # So little softness that a pad is its deepest vertex: the shares, constants to autograd, then are constant.
+        return energy(GraspPose(axis_angle_to_matrix(x[:, :3]), x[:, 3:6], x[:, 6:]), 1e-6, 1.3)
+
+    x = torch.cat([turn, wrist, angles], 1).requires_grad_()
+    (gradient,) = torch.autograd.grad(value(x).sum(), x)
+    step = 1e-7
+    with torch.no_grad():
+        for column in range(x.shape[1]):
+            shift = torch.zeros_like(x)
+            shift[:, column] = step
+            numeric = (value(x + shift) - value(x - shift)) / (2 * step)
+            torch.testing.assert_close(gradient[:, column], numeric, rtol=2e-4, atol=2e-3)
+
+
+def test_overlap_of_spheres_is_that_of_exact_distances(hand):
+    generator = torch.Generator().manual_seed(0)
+    n = len(hand.radii)
+    spheres = 0.3 + 0.05 * torch.randn(3, n, 3, generator=generator)
+    apart = 0.02 * torch.rand(n, n, generator=generator)
+    exact = (apart.double() - torch.cdist(spheres.double(), spheres.double())).clamp(min=0) * 1e3
+    exact = exact * (1 - torch.eye(n))
+    torch.testing.assert_close(overlaps(spheres, apart) * (1 - torch.eye(n)), exact.float(), atol=2e-3, rtol=0)
+
+
+def test_a_flat_hand_does_not_overlap_itself_and_crossed_fingers_do(hand):
+    clearance = sphere_clearance(hand)
+    assert (clearance.diag() == 0).all()
+    torch.testing.assert_close(clearance, clearance.T)
+    rotation, wrist = torch.eye(3)[None], hand.joints[:1]
+    flat = hand.posed(GraspPose(rotation, wrist, torch.zeros(1, 21)))
+    assert overlaps(flat.spheres, clearance).max() < 1e-2
+    crossed = torch.zeros(1, 21)
+    crossed[0, 1], crossed[0, 5] = -0.3, 0.3  # index and middle finger towards each other
+    assert overlaps(hand.posed(GraspPose(rotation, wrist, crossed)).spheres, clearance).max() > 3

@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import torch
+
+from grabnet.body.anatomy import FINGERS
+from grabnet.geometry.mesh import Mesh
+from grabnet.geometry.queries import MeshQuery
+from grabnet.geometry.rotations import random_rotations
+from grabnet.open.grasps.posing import GraspHand, GraspPose
+
+
+def poses(n: int, seed: int = 0) -> GraspPose:
+    generator = torch.Generator().manual_seed(seed)
+    angles = 0.6 * torch.rand(n, 21, generator=generator)
+    return GraspPose(random_rotations(n, generator), 0.2 * torch.randn(n, 3, generator=generator), angles)
+
+
+def test_skin_is_that_of_the_hand_model(model, anatomy):
+    betas = torch.linspace(-1.5, 1.5, 10)
+    hand, pose = GraspHand(model, anatomy, betas), poses(6)
+    expected = model(hand.parameters(pose), model.shaped(betas))
+    torch.testing.assert_close(hand.posed(pose).vertices, expected.vertices)
+    torch.testing.assert_close(pose.wrist, expected.joints[:, 0])
+
+
+def test_spheres_lie_inside_the_hand(model, anatomy, hand):
+    rest = GraspPose(torch.eye(3)[None], hand.joints[:1], torch.zeros(1, 21))
+    query = MeshQuery(Mesh(hand.rest.numpy(), anatomy.capped_faces.numpy()))
+    depth = -query.signed_distance(hand.posed(rest).spheres[0])
+    assert (depth > 0).all()
+    assert (hand.radii < depth + 0.0085).all()  # and hardly reach out of it, where a finger is flatter than wide
+    assert set(((hand.sphere_bone[hand.sphere_bone > 0] - 1) // 3).tolist()) == set(range(len(FINGERS)))
+
+
+def test_spheres_move_rigidly_with_their_bones(hand):
+    pose = poses(2)
+    posed = hand.posed(pose)
+    for bone in hand.sphere_bone.unique():
+        here = posed.spheres[:, hand.sphere_bone == bone]
+        apart = torch.cdist(here, here)
+        torch.testing.assert_close(apart[0], apart[1], atol=1e-6, rtol=1e-4)
+
+
+def test_pads_name_vertices_of_the_anatomys_pads(anatomy, hand):
+    for name, members, mask in zip(hand.pad_names, hand.pads, hand.pad_mask, strict=True):
+        chosen = hand.sample[members[mask]]
+        assert torch.isin(chosen, anatomy.pads[name]).all()
+        assert len(chosen.unique()) == len(chosen) > 0
