@@ -91,6 +91,19 @@ class Grasps:
         part = self.finger.remainder(len(FINGERS) + 1)  # -1, palm and wrist, comes last
         return touching.new_zeros(len(self), len(FINGERS) + 1).index_add(1, part, touching)
 
+    @property
+    def pinched(self) -> Tensor:
+        """(N,) bool: the thumb and at least one other finger are in contact."""
+        touching = self.contact_vertices[:, : len(FINGERS)] > 0
+        return touching[:, 0] & touching[:, 1:].any(1)
+
+    def summary(self) -> str:
+        """The grasps in a line for the screen."""
+        return (
+            f"{len(self)} grasps, thumb and a finger touch in {self.pinched.float().mean():.0%}, "
+            f"deepest penetration {1000 * self.max_penetration.mean():.1f} mm on average"
+        )
+
     def report(self) -> list[dict]:
         """One record per grasp, ready for JSON: penetration in mm, contact vertices by finger, index and seed."""
         rows = zip(

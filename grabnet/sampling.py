@@ -114,7 +114,7 @@ def sample(wanted: Sampling) -> int:
             )
             about = {"name": file.name, "mesh": str(file.resolve()), "mesh_sha256": sha256(file)}
             write_grasps(folder, grasps, about | record, wanted.formats, sheet, wanted.page)
-            print(f"{file}: {len(grasps)} grasps in {folder}")
+            print(f"{file}: {grasps.summary()}; pictures, page and files are in {folder}")
         except UserError as error:
             failures.append(str(error))
         except OSError as error:

@@ -74,3 +74,14 @@ def test_first_keeps_whole_grasps():
             assert len(value) == 2
     assert all(len(x) == 2 for x in few.parameters)
     assert len(grasps.first(9)) == 5
+
+
+def test_a_grasp_wants_the_thumb_and_another_finger():
+    near, far = 0.004, 0.005
+    # Vertices of thumb, index, pinky, palm.
+    distances = torch.tensor(
+        [[near, far, near, far], [far, near, near, near], [near, far, far, near], [-0.02, far, -0.01, 0]]
+    )
+    grasps = made_of(distances, torch.tensor([0, 1, 4, -1]))
+    assert grasps.pinched.tolist() == [True, False, False, True]
+    assert "touch in 50%, deepest penetration 5.0 mm" in grasps.summary()
