@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 from grabnet.errors import UserError
 from grabnet.geometry.isosurface import isosurface
@@ -15,6 +16,7 @@ OBJECTS: dict[str, Callable[[], Prop]] = dict(
 )
 
 
+@cache  # tables of outlines take a second to fill
 def prop(name: str) -> Prop:
     """The object's solid, grasp regions and orientation; `UserError` for a name that is not in `OBJECTS`."""
     if name not in OBJECTS:

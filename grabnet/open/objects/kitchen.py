@@ -68,8 +68,8 @@ def wineglass() -> Prop:
          (0, 0.094)],
         smooth=True,
     )  # fmt: skip
-    stem = Region("stem", (-0.02, -0.02, 0.012), (0.02, 0.02, 0.095), 0.5)
-    vessel = Region("bowl", (-0.045, -0.045, 0.095), (0.045, 0.045, 0.18), 0.5)
+    stem = Region("stem", (-0.02, -0.02, 0.012), (0.02, 0.02, 0.086), 0.5)
+    vessel = Region("bowl", (-0.045, -0.045, 0.090), (0.045, 0.045, 0.18), 0.5)
     return Prop(glass, (stem, vessel), upright=True)
 
 
