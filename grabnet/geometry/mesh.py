@@ -67,6 +67,14 @@ class Mesh:
         a, b, c = np.moveaxis(self.triangles.astype(np.float64) - self.centroid, 1, 0)
         return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
 
+    @cached_property
+    def is_closed(self) -> bool:
+        """Whether every edge joins two faces that run along it in opposite directions."""
+        start, end = self.faces.astype(np.int64), np.roll(self.faces, -1, axis=1).astype(np.int64)
+        n = len(self.vertices)
+        forward, backward = np.sort((start * n + end).ravel()), np.sort((end * n + start).ravel())
+        return bool((forward == backward).all() and (np.diff(forward) > 0).all())
+
     def trimesh(self) -> trimesh.Trimesh:
         """The same mesh for trimesh, with vertices and faces untouched."""
         return trimesh.Trimesh(self.vertices, self.faces, process=False)

@@ -13,6 +13,11 @@ from grabnet.geometry import kernels
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.warping import launch
 
+# Rays cast to tell in from out: the majority decides, should one graze an edge.
+_RAYS = 3
+# Points on which rays must agree with the winding number.
+_N_PROBES = 1000
+
 
 class Closest(NamedTuple):
     """Nearest surface points: position (N, 3), distance (N,), face (N,) int64.
@@ -30,7 +35,8 @@ class MeshQuery:
 
     Inside is where the winding number exceeds one half: right for closed meshes, overlapping parts and, unlike tests
     by rays or normals, for open ones, whose openings are closed as by a membrane. A mesh whose faces look inward is
-    taken as turned outward.
+    taken as turned outward. Where a mesh is closed and rays give the same answer on a sample of points, rays decide:
+    they cost a third, and on the long thin faces of CAD exports a hundredth.
 
     Args:
         mesh: in metres or any other unit; distances come back in the same.
@@ -46,12 +52,19 @@ class MeshQuery:
             wp.array(faces.flatten(), dtype=wp.int32, device=on),
             support_winding_number=True,
         )
+        self._rays = 0
+        if mesh.is_closed:
+            points = _probes(mesh).to(self.device)
+            by_winding = self.signed_distance(points)
+            self._rays = _RAYS
+            if (self.signed_distance(points) * by_winding < 0).any():  # overlapping parts
+                self._rays = 0
 
     def signed_distance(self, points: Tensor, max_distance: float = math.inf) -> Tensor:
         """Distances (N,) of points (N, 3) to the surface, negative inside; +inf beyond `max_distance`, in or out."""
         points = _prepared(points)
         distance = points.new_full((len(points),), math.inf)
-        launch(kernels.signed_distance, [points, distance], [self._mesh.id, max_distance])
+        launch(kernels.signed_distance, [points, distance], [self._mesh.id, max_distance, self._rays])
         return distance
 
     def closest(self, points: Tensor, max_distance: float = math.inf) -> Closest:
@@ -62,6 +75,16 @@ class MeshQuery:
         face = torch.full_like(distance, -1, dtype=torch.int32)
         launch(kernels.closest_point, [points, distance, position, face], [self._mesh.id, max_distance])
         return Closest(position, distance, face.long())
+
+
+def _probes(mesh: Mesh) -> Tensor:
+    """Half of them anywhere in the bounding box, half near the surface."""
+    generator = torch.Generator().manual_seed(0)
+    low, high = torch.tensor(mesh.bounds)
+    anywhere = low + (high - low) * torch.rand(_N_PROBES // 2, 3, generator=generator)
+    surface = torch.tensor(mesh.sample_surface(_N_PROBES // 2)[0])
+    offset = 0.02 * (high - low).norm() * torch.randn(surface.shape, generator=generator)
+    return torch.cat([anywhere, surface + offset])
 
 
 def _prepared(points: Tensor) -> Tensor:

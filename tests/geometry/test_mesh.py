@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh, check_size, file_to_object, load_mesh, save_mesh
-from tests.geometry.shapes import box, sphere, torus
+from tests.geometry.shapes import box, cup, sphere, torus
 
 FORMATS = ["obj", "ply", "stl", "off", "glb"]
 TRIANGLE = b"v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n"
@@ -180,3 +180,15 @@ def test_volume_tells_inside_out():
     mesh = box((0.2, 0.1, 0.05))
     np.testing.assert_allclose(mesh.volume, 0.001, rtol=1e-5)
     np.testing.assert_allclose(Mesh(mesh.vertices + 5, mesh.faces[:, ::-1]).volume, -0.001, rtol=1e-3)
+
+
+def test_closed_means_every_edge_has_two_sides():
+    mesh = box((0.2, 0.1, 0.05))
+    assert mesh.is_closed
+    assert torus().is_closed
+    assert not Mesh(mesh.vertices, mesh.faces[1:]).is_closed
+    assert not cup().is_closed
+    turned = mesh.faces.copy()
+    turned[0] = turned[0][::-1]
+    assert not Mesh(mesh.vertices, turned).is_closed
+    assert not Mesh(mesh.vertices, np.concatenate([mesh.faces, mesh.faces])).is_closed

@@ -1,4 +1,5 @@
 import math
+import time
 
 import numpy as np
 import pytest
@@ -60,6 +61,28 @@ def test_an_open_cup_is_closed_by_a_membrane():
     assert (query.signed_distance(inside) < 0).all()
     assert (query.signed_distance(outside) > 0).all()
     np.testing.assert_allclose(query.signed_distance(inside)[:1], [-0.03], atol=1e-6)  # to the floor, not the membrane
+
+
+def test_overlapping_parts_have_one_inside():
+    """Where two solids overlap rays cross an even number of faces."""
+    parts = [trimesh.creation.box((0.06, 0.06, 0.06)), trimesh.creation.box((0.1, 0.03, 0.03))]
+    both = trimesh.util.concatenate(parts)
+    points = scattered(3000, spread=0.02)
+    inside = np.stack([(np.abs(points.numpy()) < part.extents / 2).all(1) for part in parts]).any(0)
+    np.testing.assert_array_equal(MeshQuery(mesh_of(both)).signed_distance(points) < 0, inside)
+
+
+def test_long_thin_faces_are_no_slower():
+    """Of a finely tessellated tube the winding number takes .6 ms a point."""
+    tube = mesh_of(trimesh.creation.annulus(0.035, 0.038, 0.1, sections=4000))
+    query, points = MeshQuery(tube), scattered(20_000)
+    start = time.process_time()
+    distance = query.signed_distance(points)
+    assert time.process_time() - start < 3
+    radius = points[:, :2].norm(dim=1)
+    within = (radius > 0.03501) & (radius < 0.03799) & (points[:, 2].abs() < 0.05)
+    assert (distance[within] < 0).all()
+    assert (distance[(radius < 0.0349) | (radius > 0.0381)] > 0).all()
 
 
 def test_a_mesh_inside_out_has_the_same_inside():
