@@ -35,7 +35,12 @@ def hand(arguments: argparse.Namespace) -> None:
 def objects(arguments: argparse.Namespace) -> None:
     from grabnet.open.objects.writing import write_objects
 
-    write_objects(arguments.root, processes=arguments.processes)
+    paths = write_objects(arguments.root, processes=arguments.processes)
+    if arguments.picture:
+        from grabnet.open.objects.sheet import objects_sheet
+        from grabnet.visual.pictures import save_image
+
+        save_image(arguments.picture, objects_sheet(paths))
 
 
 def grasps(arguments: argparse.Namespace) -> None:
@@ -58,6 +63,7 @@ def parser() -> argparse.ArgumentParser:
     command = commands.add_parser("objects", help="mesh the open objects, one .ply each; those up to date are kept")
     command.add_argument("--root", type=Path, default=Path("data/open"), help="dataset folder (default: %(default)s)")
     command.add_argument("--processes", type=int, default=2, help="objects meshed at once (default: %(default)s)")
+    command.add_argument("--picture", type=Path, help="also draw them all here, such as docs/open_objects.png")
     command.set_defaults(run=objects)
 
     command = commands.add_parser("grasps", help="grasps of the open objects by ten subjects, checked in simulation")
