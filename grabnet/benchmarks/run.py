@@ -1,0 +1,73 @@
+"""Running a suite of benchmarks: what `scripts/benchmark.py` does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from importlib import import_module
+
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from grabnet.benchmarks.timing import Case, Timing, measure
+from grabnet.errors import UserError
+from grabnet.files import write_json
+from grabnet.provenance import provenance
+
+# Each is a module here with `cases(settings) -> list[Case]`; imported only when it is run.
+SUITES = {
+    "sdf": "signed distance of hand vertices to objects, and building a grid",
+    "bps": "basis point features of objects in many poses",
+    "hand": "posing a batch of hands",
+}
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """What to time; the values of `configs/benchmark.yaml`, which explains them.
+
+    Raises:
+        UserError: an unknown suite or a value out of range.
+    """
+
+    suite: str
+    output: str | None
+    runs: int
+    batch: int
+    threads: int | None
+    device: str
+    seed: int
+
+    def __post_init__(self):
+        if self.suite not in SUITES:
+            raise UserError(f"There is no suite '{self.suite}'; choose from {', '.join(SUITES)}.")
+        for name, least in {"runs": 2, "batch": 1, "threads": 1}.items():
+            if (value := getattr(self, name)) is not None and value < least:
+                raise UserError(f"{name}={value} is too small; it must be at least {least}.")
+        if self.device not in ("cpu", "cuda") or (self.device == "cuda" and not torch.cuda.is_available()):
+            raise UserError(
+                f"device={self.device} is not to be had here; use cpu" + " or cuda." * (self.device != "cuda")
+            )
+
+    def run(self) -> list[Timing]:
+        """Time the suite, print a table and, if asked, write the figures."""
+        torch.set_num_threads(self.threads or torch.get_num_threads())
+        cases: Callable[[Benchmark], list[Case]] = import_module(f"grabnet.benchmarks.{self.suite}").cases
+        timings = measure(cases(self), self.runs)
+        Console().print(_table(f"{self.suite}: {SUITES[self.suite]}", timings))
+        if self.output:
+            facts = provenance(settings=asdict(self), threads=torch.get_num_threads())
+            write_json(self.output, {"timings": [asdict(timing) for timing in timings]} | facts)
+        return timings
+
+
+def _table(title: str, timings: Sequence[Timing]) -> Table:
+    table = Table(title=title)
+    for heading in ("case", "median ms", "quartiles ms", "times faster"):
+        table.add_column(heading, justify="left" if heading == "case" else "right")
+    for timing in timings:
+        median, lower, upper = (f"{1e3 * s:.2f}" for s in (timing.median, timing.lower, timing.upper))
+        faster = f"{timing.speedup:.1f} than {timing.baseline}" if timing.baseline else ""
+        table.add_row(timing.name, median, f"{lower} to {upper}", faster)
+    return table
