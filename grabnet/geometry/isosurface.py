@@ -16,8 +16,6 @@ Array = NDArray[np.float64]
 Distance = Callable[[Array], Array]
 
 _BLOCK = 8  # cells along a block of the sparse grid
-# A grid cell of 1 gives triangle edges between 1 and sqrt(2); their median is this many cells.
-_EDGE_PER_CELL = 1.0
 _CORNERS = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), -1).reshape(8, 3)
 
 
@@ -30,13 +28,16 @@ def isosurface(
         distance: (N, 3) points to (N,) signed distances, negative inside; at most mildly larger than the true distance.
             Anything thinner than about 1.6 edges may be lost.
         low, high: (3,) box that holds the solid.
-        edge: wanted median edge length, in the unit of the points.
+        edge: cell of the grid, in the unit of the points; the median edge comes out at 0.85 to 1.05 times as much.
         rounds: of relaxation.
 
     Returns:
-        vertices (V, 3) and faces (F, 3), counter-clockwise seen from outside.
+        vertices (V, 3) and faces (F, 3), counter-clockwise seen from outside: closed, and manifold.
+
+    Raises:
+        ValueError: the solid reaches out of its box, or is too fine for the grid to tell what is joined.
     """
-    vertices, faces = _surface_net(distance, np.asarray(low, float), np.asarray(high, float), edge / _EDGE_PER_CELL)
+    vertices, faces = _surface_net(distance, np.asarray(low, float), np.asarray(high, float), edge)
     for _ in range(rounds):
         vertices = _projected(distance, vertices, edge)
         faces = _flipped(vertices, faces)
@@ -53,6 +54,8 @@ def _surface_net(distance: Distance, low: Array, high: Array, cell: float) -> tu
 
     # Crossed grid edges: along each axis, and the four cells that share the edge.
     inside = values < 0
+    if any(np.take(inside, side, axis).any() for axis in range(3) for side in (0, -1)):
+        raise ValueError(f"The solid reaches out of its box, from {low} to {high}.")
     points_sum = np.zeros((values.size, 3))
     points_count = np.zeros(values.size)
     quads = []
@@ -101,11 +104,14 @@ def _unambiguous(values: Array) -> Array:
     the surface changes sides; projection puts the vertices right again.
     """
     values = np.where(values == 0, np.finfo(float).tiny, values)
-    while len(groups := _ambiguous_corners(values < 0)):
+    for _ in range(100):
+        groups = _ambiguous_corners(values < 0)
+        if not len(groups):
+            return values
         size = np.abs(values.reshape(-1)[groups])
         closest = np.unique(groups[np.arange(len(groups)), size.argmin(-1)])
         values.reshape(-1)[closest] *= -2  # doubled, so that a corner does not go back and forth for ever
-    return values
+    raise ValueError("The solid is too fine for the grid; mesh it with a shorter edge.")
 
 
 def _ambiguous_corners(inside: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -183,9 +189,7 @@ def _flipped(vertices: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
     owner = np.repeat(np.arange(n), 3)
     key = np.minimum(start, end) * len(vertices) + np.maximum(start, end)
     order = np.argsort(key, kind="stable")
-    one, two = order[0::2], order[1::2]  # closed mesh: half-edges come in pairs
-    if len(order) % 2 or (key[one] != key[two]).any():
-        return faces
+    one, two = order[0::2], order[1::2]  # in a closed mesh half-edges come in pairs
     opposite = faces[:, [2, 0, 1]].reshape(-1)
     i, j, k, m = start[one], end[one], opposite[one], opposite[two]
 

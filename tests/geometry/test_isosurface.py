@@ -89,6 +89,11 @@ def test_same_solid_same_mesh():
     np.testing.assert_array_equal(a.vertices, b.vertices)
 
 
+def test_a_box_too_small_is_told():
+    with pytest.raises(ValueError, match="out of its box"):
+        isosurface(sphere(0.03).distance, [-0.03] * 3, [0.03, 0.03, 0.01], EDGE)
+
+
 numbers = st.floats(-1, 1)
 
 

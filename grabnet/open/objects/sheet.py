@@ -10,7 +10,7 @@ from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.visual.pictures import Shape, contact_sheet, render
 
 
-def objects_sheet(paths: list[Path], tile: int = 165, columns: int = 9) -> np.ndarray:
+def objects_sheet(paths: list[Path], tile: int = 160, columns: int = 9) -> np.ndarray:
     """Every mesh filling its tile, captioned with its name and the sides of its box; uint8 (H, W, 3)."""
     meshes = [load_mesh(path) for path in paths]
     tiles = [render([Shape(mesh.vertices, mesh.faces)], (0.55, -1.0, 0.6), size=(tile, tile)) for mesh in meshes]
