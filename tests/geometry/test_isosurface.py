@@ -98,7 +98,7 @@ numbers = st.floats(-1, 1)
 
 
 @given(st.lists(st.tuples(numbers, numbers, numbers, numbers, numbers, numbers), min_size=1, max_size=4))
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=12)
 def test_joined_and_cut_capsules_stay_closed_and_true(ends):
     solid = sphere(0.012)
     for i, end in enumerate(ends):
@@ -115,7 +115,7 @@ def test_joined_and_cut_capsules_stay_closed_and_true(ends):
 
 
 @given(st.floats(0, 90), st.floats(0, 90), st.floats(1.7, 4))
-@settings(deadline=None, max_examples=20)
+@settings(deadline=None, max_examples=10)
 def test_thin_walls_keep_their_two_sides(tilt, turn, thickness):
     side, wall = 0.03, thickness * EDGE
     solid = box(side, side, wall, rounding=0.0008).turned("x", tilt).turned("z", turn)
@@ -126,7 +126,7 @@ def test_thin_walls_keep_their_two_sides(tilt, turn, thickness):
 
 
 @given(st.floats(0, 90), st.floats(0, 90))
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, max_examples=8)
 def test_grid_leaves_no_imprint_on_a_turned_solid(tilt, turn):
     solid = cylinder(0.015, 0.03).turned("x", tilt).turned("z", turn)
     mesh = meshed(solid)
