@@ -46,7 +46,11 @@ def objects(arguments: argparse.Namespace) -> None:
 def grasps(arguments: argparse.Namespace) -> None:
     from grabnet.open.grasps.building import build_grasps
 
-    build_grasps(arguments.file, arguments.objects, arguments.per_object, arguments.seed, arguments.processes)
+    made = build_grasps(arguments.file, arguments.objects, arguments.per_object, arguments.seed, arguments.processes)
+    if arguments.picture:
+        from grabnet.open.grasps.sheet import draw_sheet
+
+        draw_sheet(made, arguments.picture)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -74,6 +78,7 @@ def parser() -> argparse.ArgumentParser:
     command.add_argument("--per-object", type=int, default=220, help="grasps of each (default: %(default)s)")
     command.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
     command.add_argument("--processes", type=int, default=2, help="objects at once (default: %(default)s)")
+    command.add_argument("--picture", type=Path, help="also draw random ones here, such as docs/open_grasps.png")
     command.set_defaults(run=grasps)
 
     return main

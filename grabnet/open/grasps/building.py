@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -36,13 +37,15 @@ def build_grasps(
         objects: names; all when omitted.
 
     Raises:
-        UserError: unknown object, or numbers that ask for nothing.
+        UserError: unknown object, numbers that ask for nothing, or no MuJoCo.
     """
     names = list(objects or OBJECTS)
     if unknown := sorted(set(names) - set(OBJECTS)):
         raise UserError(f"There is no open object {', '.join(unknown)}; choose from {', '.join(OBJECTS)}.")
     if per_object < 1 or processes < 1:
         raise UserError(f"--per-object {per_object} and --processes {processes} must be at least 1.")
+    if importlib.util.find_spec("mujoco") is None:
+        raise UserError('Grasps are checked in MuJoCo, which is not installed: pip install "grabnet[physics]".')
     config = SynthesisConfig(per_object=per_object)
     console = Console()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())

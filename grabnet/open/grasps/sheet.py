@@ -5,12 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import torch
+from PIL import Image
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
+from grabnet.files import replacing
 from grabnet.open.grasps.store import OpenGrasps
 from grabnet.open.objects import build_object
-from grabnet.visual.pictures import OBJECT, SKIN, Shape, contact_sheet, render, save_image
+from grabnet.visual.pictures import OBJECT, SKIN, Shape, contact_sheet, render
 
 VIEWS = ((-0.45, -1.0, 0.45), (0.9, 0.5, 0.35))
 
@@ -30,4 +32,6 @@ def draw_sheet(grasps: OpenGrasps, path: Path, per_object: int = 2, size: int = 
             shapes = [Shape(vertices, hand.faces, SKIN), Shape(mesh.vertices, mesh.faces, OBJECT)]
             tiles.append(render(shapes, direction=VIEWS[k % len(VIEWS)], size=(size, size)))
             captions.append(f"{name}: {grasps.kinds[grasps.kind[row]]}")
-    save_image(path, contact_sheet(tiles, captions, columns=13))
+    sheet = Image.fromarray(contact_sheet(tiles, captions, columns=13))
+    with replacing(path) as temporary:  # with a palette: half the file, no visible loss
+        sheet.quantize(200, dither=Image.Dither.NONE).save(temporary, optimize=True)

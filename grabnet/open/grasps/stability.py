@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from grabnet.body.anatomy import JOINTS
 from grabnet.geometry.mesh import Mesh
 from grabnet.open.grasps.posing import GraspHand
+
+if TYPE_CHECKING:
+    import mujoco
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,8 @@ def displacement(held: RigidObject, hand_solids: list[np.ndarray], config: Stabi
     Args:
         hand_solids: corners of the convex solids of the posed hand in the object's frame, z up, metres.
     """
+    import mujoco  # here: an extra, which only building grasps needs
+
     spec = mujoco.MjSpec()
     spec.option.timestep = config.timestep
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -136,8 +141,10 @@ def holds(held: RigidObject, hand_solids: list[np.ndarray], config: StabilityCon
 
 
 def _add(
-    spec: mujoco.MjSpec, body: object, name: str, corners: np.ndarray, friction: list[float], **options: float
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, corners: np.ndarray, friction: list[float], **options: float
 ) -> None:
+    import mujoco
+
     mesh = spec.add_mesh(name=name)
     mesh.uservert = np.asarray(corners, np.float32).ravel()
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, friction=friction, condim=4, **options)

@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -18,6 +19,9 @@ from grabnet.errors import UserError
 from grabnet.files import existing, replacing, sha256, write_json
 from grabnet.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from grabnet.provenance import provenance
+
+if TYPE_CHECKING:
+    from grabnet.open.grasps.synthesise import ObjectGrasps, SynthesisConfig
 
 OPEN_GRASPS = Path(__file__).parents[3] / "assets" / "open_grasps" / "grasps.safetensors"
 
@@ -98,8 +102,9 @@ def save_open_grasps(path: str | Path, grasps: OpenGrasps) -> None:
         save_file(tensors | {"betas": grasps.betas}, temporary, {"grasps": json.dumps(names | grasps.meta)})
 
 
-def collect(found: Sequence, betas: Tensor, config: object, seed: int) -> OpenGrasps:
+def collect(found: Sequence[ObjectGrasps], betas: Tensor, config: SynthesisConfig, seed: int) -> OpenGrasps:
     """One `OpenGrasps` of the `ObjectGrasps` of all objects, sorted by object name."""
+    # Here: reading grasps shouldn't wait for what makes them.
     from grabnet.open.grasps.synthesise import GENDERS, KIND_NAMES, SUBJECTS
 
     found = sorted(found, key=lambda o: o.name)
@@ -126,7 +131,9 @@ def collect(found: Sequence, betas: Tensor, config: object, seed: int) -> OpenGr
     )
 
 
-def write_asset(path: Path, found: Sequence, betas: Tensor, config: object, seed: int) -> OpenGrasps:
+def write_asset(
+    path: Path, found: Sequence[ObjectGrasps], betas: Tensor, config: SynthesisConfig, seed: int
+) -> OpenGrasps:
     """Write the grasp file and beside it `grasps.json` (provenance) and `report.json` (a row per object)."""
     grasps = collect(found, betas, config, seed)
     save_open_grasps(path, grasps)

@@ -42,7 +42,6 @@ class SynthesisConfig:
     mcp_extension: float = -0.15
     thumb_mcp_extension: float = -0.1
     thumb_ip_extension: float = -0.3
-    thumb_abduction: float = 0.9
     templates: TemplateConfig = field(default_factory=TemplateConfig)
     proposals: ProposalConfig = field(default_factory=ProposalConfig)
     posture: PostureConfig = field(default_factory=PostureConfig)
@@ -95,8 +94,6 @@ def angle_limits(anatomy: Anatomy, config: SynthesisConfig) -> Tensor:
         for ending, value in lowest.items():
             if name.endswith(ending):
                 limits[i, 0] = max(float(limits[i, 0]), value)
-        if name == "thumb_cmc_abduction":
-            limits[i, 1] = min(float(limits[i, 1]), config.thumb_abduction)
     return limits
 
 
