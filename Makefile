@@ -26,7 +26,7 @@ demo: $(DEMO)/coarsenet/model.safetensors $(DEMO)/refinenet/model.safetensors
 	  mesh=[$(subst $(empty) $(empty),$(comma),$(UNSEEN:%=data/open/tools/object_meshes/contact_meshes/%.ply))]
 
 $(DEMO)/%/model.safetensors: | $(READY)
-	$(BIN)/python train.py experiment=demo model=$* run_dir=$(@D)
+	$(BIN)/python train.py experiment=demo_$* run_dir=$(@D)
 
 test: setup
 	$(BIN)/ruff check .

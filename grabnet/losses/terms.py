@@ -65,5 +65,7 @@ def edge_differences(faces: Tensor, n_vertices: int) -> Tensor:
     sign = torch.ones(2 * len(edges), device=faces.device)
     sign[len(edges) :] = -1
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
-        return torch.sparse_coo_tensor(torch.stack([row, ends]), sign, (len(edges), n_vertices)).to_sparse_csr()
+        warnings.filterwarnings("ignore", message="Sparse")  # torch calls its CSR tensors beta at every first use
+        return torch.sparse_coo_tensor(
+            torch.stack([row, ends]), sign, (len(edges), n_vertices), check_invariants=False
+        ).to_sparse_csr()
