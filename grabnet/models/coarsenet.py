@@ -48,6 +48,11 @@ class CoarseNet(nn.Module):
         with torch.no_grad():
             self.pose.weight.mul_(0.1)
             self.pose.bias.copy_(matrix_to_six_d(torch.eye(3)).repeat(n_joints))
+        # Nor should thousands of basis points drown the wrist and the code: at the start either side weighs the same.
+        for block in (self.encoder1, self.encoder2):
+            _amplify(block, slice(n_bps, n_encoder), (n_bps / 12) ** 0.5)
+        for block in (self.decoder1, self.decoder2):
+            _amplify(block, slice(0, latent_dim), (n_bps / latent_dim) ** 0.5)
 
     def encode(self, bps: Tensor, global_orient: Tensor, transl: Tensor) -> Normal:
         """Posterior over latent codes (B, latent_dim), given bps (B, P) in metres and the true wrist."""
@@ -72,3 +77,9 @@ class CoarseNet(nn.Module):
         """One new grasp per row of bps (B, P), from z ~ N(0, 1)."""
         z = torch.randn(len(bps), self.latent_dim, generator=generator, dtype=bps.dtype, device=bps.device)
         return self.decode(z, bps)
+
+
+@torch.no_grad()
+def _amplify(block: ResidualBlock, inputs: slice, factor: float) -> None:
+    for layer in (block.fc1, block.fc3):
+        layer.weight[:, inputs] *= factor
