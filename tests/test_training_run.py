@@ -93,7 +93,7 @@ def test_frames_are_learned_by_heart(tiny_dataset, tmp_path, cache_dir):
     more = ("debug=overfit", "model.width=128", "model.n_hidden=64")
     overrides = [o for o in tiny_overrides(tiny_dataset, tmp_path, cache_dir) if "epochs" not in o and "batch" not in o]
     metrics = train(composed([*overrides, *more]))
-    assert metrics["test/train/v2v"] < 10
+    assert metrics["test/train/v2v"] < 15  # 6.5 here; about 100 untrained
 
 
 def test_a_damaged_checkpoint_is_named(tmp_path):
