@@ -72,9 +72,13 @@ def test_a_run_leaves_all_its_records(model, tiny_dataset, tmp_path, cache_dir, 
 def test_a_killed_run_goes_on_as_if_nothing_had_happened(tiny_dataset, tmp_path, cache_dir):
     unbroken, broken = tmp_path / "unbroken", tmp_path / "broken"
     overrides = ("trainer.max_epochs=25", "test=false")
-    train(composed(tiny_overrides(tiny_dataset, unbroken, cache_dir, "coarsenet", *overrides)))
-    command = [sys.executable, "train.py", *tiny_overrides(tiny_dataset, broken, cache_dir, "coarsenet", *overrides)]
-    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    def command(run_dir: Path) -> list[str]:
+        return [sys.executable, "train.py", *tiny_overrides(tiny_dataset, run_dir, cache_dir, "coarsenet", *overrides)]
+
+    # Both in a process of their own: threads that an earlier test set would change the order of sums, so the last bit.
+    subprocess.run(command(unbroken), cwd=ROOT, check=True, capture_output=True)
+    process = subprocess.Popen(command(broken), cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     last = broken / "checkpoints/last.ckpt"
     while not last.exists() and process.poll() is None:
         time.sleep(0.02)
@@ -84,7 +88,7 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(tiny_dataset, tmp_path,
     assert not (broken / "model.safetensors").exists(), "the run ended before it was killed: give it more epochs"
     killed_at = read_checkpoint(last)["global_step"]
     assert 0 < killed_at < 25 * 3
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    subprocess.run(command(broken), cwd=ROOT, check=True, capture_output=True)
     for name, value in load_coarsenet(unbroken).state_dict().items():
         torch.testing.assert_close(load_coarsenet(broken).state_dict()[name], value, rtol=0, atol=0)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
@@ -12,6 +13,9 @@ from grabnet.data.frames import Frames
 from grabnet.data.objects import ObjectSet
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.rotations import about_z, axis_angle_to_matrix
+
+if TYPE_CHECKING:
+    from grabnet.data.targets import Targets
 
 
 @dataclass(frozen=True)
@@ -70,13 +74,12 @@ class BatchAssembler(nn.Module):
         return hand, rest, self.hand(hand, rest).vertices
 
     @torch.no_grad()
-    def forward(self, frames: Frames, near: Tensor, near_distances: Tensor, turn: bool) -> GraspBatch:
+    def forward(self, frames: Frames, targets: Targets, turn: bool) -> GraspBatch:
         """Assemble.
 
         Args:
             frames: of the batch.
-            near: (B, P) surface samples of the object near the hand, into `object_set.points`.
-            near_distances: (B, P) their signed distances to the true hand.
+            targets: theirs.
             turn: rotate each frame about the vertical by a random angle (training's augmentation).
         """
         hand, rest, vertices = self.posed(frames)
@@ -85,15 +88,15 @@ class BatchAssembler(nn.Module):
             about = about_z(torch.rand(len(frames), device=rotations.device) * (2 * torch.pi))
             rotations, vertices = about @ rotations, vertices @ about.mT
             hand = self.hand.moved(hand, about, rest=rest)
-        points = self.object_set.points[frames.object.unsqueeze(1), near.long()] @ rotations.mT
+        points = self.object_set.points[frames.object.unsqueeze(1), targets.near.long()] @ rotations.mT
         return GraspBatch(
             objects=frames.object,
             rotations=rotations,
             hand=hand,
             rest=rest,
             vertices=vertices,
-            distances=self.object_set.distances(vertices, frames.object, rotations),
+            distances=targets.distances.to(vertices.dtype),
             points=points,
-            point_distances=near_distances.to(points.dtype),
+            point_distances=targets.near_distances.to(points.dtype),
             object_set=self.object_set,
         )

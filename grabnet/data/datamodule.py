@@ -100,12 +100,12 @@ class GraspDataModule(L.LightningDataModule):
             if not len(frames):
                 raise UserError(f"{self.store_dir} has no {split} frames: its objects are {', '.join(objects.names)}.")
             self._frames[split] = frames
-            self._targets[split] = compute_targets(frames, self.assembler, self.near_points, self.contact_distance)
+            self._targets[split] = compute_targets(frames, self.assembler, self.near_points)
 
     @property
     def contact(self) -> Tensor:
         """(V,) share of training frames in which each hand vertex touches the object."""
-        return self._targets["train"].contact
+        return self._targets["train"].contact(self.contact_distance)
 
     def frames(self, split: str) -> Frames:
         """The frames of train, val or test."""
@@ -150,7 +150,7 @@ class GraspDataModule(L.LightningDataModule):
             frames = self._frames[split] = frames.to(index.device)
             targets = self._targets[split] = targets.to(index.device)
             self.assembler.to(index.device)
-        return self.assembler(frames.select(index), targets.near[index], targets.near_distances[index], turn)
+        return self.assembler(frames.select(index), targets.select(index), turn)
 
     def _members(self, split: str) -> Tensor:
         """Frame numbers of a split."""

@@ -1,4 +1,4 @@
-"""What is learned once from the frames, before training: contact likelihood, and the object's points near the hand."""
+"""What is learned once from the frames, before training: contact likelihood, true distances, object points near the hand."""
 
 from __future__ import annotations
 
@@ -8,59 +8,62 @@ import torch
 from rich.progress import track
 from torch import Tensor
 
-from grabnet.body.anatomy import vertex_normals
 from grabnet.data.batches import BatchAssembler
 from grabnet.data.frames import Frames
-from grabnet.geometry.nearest import nearest, signed_offset
+from grabnet.geometry.nearest import NearestVertex
 from grabnet.geometry.rotations import axis_angle_to_matrix
 
 
 @dataclass(frozen=True)
 class Targets:
-    """Per frame: `near` (N, P) int16, surface samples of its object nearest to the true hand, and
-    `near_distances` (N, P) float16, their signed distances to it in metres. For all frames:
-    `contact` (V,), share of frames in which each hand vertex touches the object."""
+    """What the losses compare with, per frame; all that does not change when a frame is turned about the vertical.
 
+    Attributes:
+        distances: (N, V) float16, signed distances of the true hand's vertices to the object, metres.
+        near: (N, P) int16, samples of the object's surface, into `ObjectSet.points`: those nearest to the true hand.
+        near_distances: (N, P) float16, their signed distances to it, metres.
+    """
+
+    distances: Tensor
     near: Tensor
     near_distances: Tensor
-    contact: Tensor
 
     def to(self, device: torch.device | str) -> Targets:
         """The same targets on `device`."""
-        return Targets(self.near.to(device), self.near_distances.to(device), self.contact.to(device))
+        return Targets(self.distances.to(device), self.near.to(device), self.near_distances.to(device))
+
+    def select(self, index: Tensor) -> Targets:
+        """Those of the chosen frames."""
+        return Targets(self.distances[index], self.near[index], self.near_distances[index])
+
+    def contact(self, distance: float) -> Tensor:
+        """(V,) share of frames in which each hand vertex lies within `distance` of the object, or in it."""
+        return (self.distances < distance).float().mean(0)
 
 
 @torch.no_grad()
-def compute_targets(
-    frames: Frames, assembler: BatchAssembler, n_points: int, contact_distance: float, batch_size: int = 64
-) -> Targets:
+def compute_targets(frames: Frames, assembler: BatchAssembler, n_points: int, batch_size: int = 64) -> Targets:
     """Pose every frame once and measure it.
 
     Args:
         frames: to measure.
         n_points: surface samples kept per frame: those nearest to the hand, or all when it equals their number.
-        contact_distance: metres within which a hand vertex counts as touching (spec 4).
     """
-    points = assembler.object_set.points
-    faces = assembler.hand.faces
-    near = torch.empty(len(frames), n_points, dtype=torch.int16)
-    near_distances = torch.empty(len(frames), n_points, dtype=torch.float16)
-    touching = torch.zeros(len(assembler.hand.v_template))
-    for start in track(range(0, len(frames), batch_size), "Measuring the training frames", transient=True):
+    hand, points = assembler.hand, assembler.object_set.points
+    nearest = NearestVertex(hand.v_template, hand.faces)
+    targets = Targets(
+        torch.empty(len(frames), len(hand.v_template), dtype=torch.float16),
+        torch.empty(len(frames), n_points, dtype=torch.int16),
+        torch.empty(len(frames), n_points, dtype=torch.float16),
+    )
+    for start in track(range(0, len(frames), batch_size), "Measuring the frames", transient=True):
         part = slice(start, start + batch_size)
         batch = frames.select(torch.arange(len(frames))[part])
         vertices = assembler.posed(batch)[2]
         rotations = axis_angle_to_matrix(batch.object_orient)
-        touching += (assembler.object_set.distances(vertices, batch.object, rotations) < contact_distance).sum(0)
-        candidates = points[batch.object] @ rotations.mT
-        if n_points < candidates.shape[1]:
-            # Every fourth vertex is near enough for choosing points (≈ 3 mm), and four times cheaper.
-            sparse = vertices[:, ::4]
-            offset = candidates - sparse.gather(1, nearest(candidates, sparse).unsqueeze(-1).expand(-1, -1, 3))
-            chosen = offset.square().sum(-1).topk(n_points, largest=False, sorted=False).indices.sort().values
-        else:
-            chosen = torch.arange(n_points).expand(len(batch), -1)
-        at = candidates.gather(1, chosen.unsqueeze(-1).expand(-1, -1, 3))
-        near[part] = chosen.to(torch.int16)
-        near_distances[part] = signed_offset(at, vertices, vertex_normals(vertices, faces)).to(torch.float16)
-    return Targets(near, near_distances, touching / max(len(frames), 1))
+        targets.distances[part] = assembler.object_set.distances(vertices, batch.object, rotations).half()
+        offset = nearest.signed_offset(points[batch.object] @ rotations.mT, vertices)
+        chosen = offset.abs().topk(n_points, largest=False, sorted=False).indices.sort().values
+        targets.near[part] = chosen.short()
+        targets.near_distances[part] = offset.gather(1, chosen).half()
+    return targets

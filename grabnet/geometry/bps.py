@@ -68,7 +68,7 @@ class BPS(nn.Module):
             rotations: (B, 3, 3) of the objects in the world, in which the basis is fixed.
             centroids: (B, 3) of the objects in their own frames: the point that is centred in the basis.
         """
-        return atlas(self.in_object_frame(rotations, centroids), objects).abs()
+        return atlas.basis_distances(self.basis, objects, rotations, centroids)
 
     def from_mesh(self, query: MeshQuery, rotation: Tensor, centroid: Tensor) -> Tensor:
         """Exact distances (P,) from the basis to one mesh's surface: what `from_atlas` approximates."""

@@ -1,7 +1,7 @@
-"""Table lookup for the SDF atlas, in two kernels: where each point's cell lies, then what its corners hold.
+"""Table lookup for the SDF atlas.
 
-Split so, because the corners lie scattered over hundreds of megabytes: the second kernel is short enough for a CPU to
-have the corners of many points on their way at once, which halves the time.
+A thread takes one row of points after the other, each row all around one object: what it reads of the table stays in
+the cache, and where the table lies is looked up once.
 """
 
 import warp as wp
@@ -11,68 +11,67 @@ import grabnet.geometry.warping  # noqa: F401  (starts warp)
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.kernel
-def locate(
-    fine_box: wp.array2d(dtype=wp.vec3),  # lowest and highest corner of each object's fine level
-    origin: wp.array(dtype=wp.vec3),  # of level 2 i, the fine one of object i, and of 2 i + 1, its coarse one
-    spacing: wp.array(dtype=float),
-    dims: wp.array(dtype=wp.vec3i),
-    offset: wp.array(dtype=int),
-    points: wp.array(dtype=wp.vec3),
-    objects: wp.array(dtype=int),
-    cell: wp.array(dtype=wp.vec3i),
-    place: wp.array(dtype=wp.vec4),
-    excess: wp.array(dtype=wp.vec3),
-):
-    """For each point, its cell and how far it lies outside of the lattice.
+@wp.struct
+class Lattices:
+    """All lattices of an atlas: 2 i is the fine one of object i, 2 i + 1 its coarse one."""
 
-    cell: index of the lowest corner, and the steps to the next node along x and along y. place: where in the cell the
-    point lies, 0 to 1, and the cell's side.
-    """
-    i = wp.tid()
-    p = points[i]
-    item = objects[i]
-    low = fine_box[item, 0]
-    high = fine_box[item, 1]
-    level = 2 * item
-    if p[0] < low[0] or p[1] < low[1] or p[2] < low[2] or p[0] > high[0] or p[1] > high[1] or p[2] > high[2]:
-        level += 1
-    n = dims[level]
-    u = (p - origin[level]) / spacing[level]
-    # A point outside is drawn towards the centre, until on the border: the surface nearest to it hardly changes so.
-    centre = 0.5 * wp.vec3(float(n[0] - 1), float(n[1] - 1), float(n[2] - 1))
-    ratio = wp.abs(wp.cw_div(u - centre, centre))
-    furthest = wp.max(wp.max(ratio[0], ratio[1]), ratio[2])
+    fine_box: wp.array2d(dtype=wp.vec3)  # lowest and highest corner of each object's fine lattice
+    origin: wp.array(dtype=wp.vec3)
+    spacing: wp.array(dtype=float)
+    dims: wp.array(dtype=wp.vec3i)
+    offset: wp.array(dtype=int)  # of the lattice's first node in values
+    values: wp.array(dtype=wp.float16)
+
+
+@wp.struct
+class Lattice:
+    origin: wp.vec3
+    per_metre: float  # nodes
+    dims: wp.vec3i
+    offset: int
+
+
+@wp.func
+def lattice(atlas: Lattices, level: int) -> Lattice:
+    found = Lattice()
+    found.origin = atlas.origin[level]
+    found.per_metre = 1.0 / atlas.spacing[level]
+    found.dims = atlas.dims[level]
+    found.offset = atlas.offset[level]
+    return found
+
+
+@wp.func
+def within(p: wp.vec3, low: wp.vec3, high: wp.vec3) -> bool:
+    return p[0] > low[0] and p[1] > low[1] and p[2] > low[2] and p[0] < high[0] and p[1] < high[1] and p[2] < high[2]
+
+
+@wp.func
+def read(values: wp.array(dtype=wp.float16), lattice: Lattice, p: wp.vec3):
+    """Trilinear value and its gradient; beyond the lattice those of the surface point seen from its border."""
+    n = lattice.dims
+    u = (p - lattice.origin) * lattice.per_metre
     inside = u
-    if furthest > 1.0:
-        inside = centre + (u - centre) / furthest
-    # Clamped, so that even NaN reads within the buffer; the excess carries it on.
+    last = wp.vec3(float(n[0] - 1), float(n[1] - 1), float(n[2] - 1))
+    outside = not within(u, wp.vec3(0.0), last)
+    if outside:
+        # Drawn towards the centre until on the border: the surface nearest to the point hardly changes so.
+        centre = 0.5 * last
+        ratio = wp.abs(wp.cw_div(u - centre, centre))
+        furthest = wp.max(wp.max(ratio[0], ratio[1]), ratio[2])
+        if furthest > 1.0:
+            inside = centre + (u - centre) / furthest
+    # Clamped, so that even NaN reads within the buffer; the leap below carries it on.
     x = wp.clamp(int(inside[0]), 0, n[0] - 2)
     y = wp.clamp(int(inside[1]), 0, n[1] - 2)
     z = wp.clamp(int(inside[2]), 0, n[2] - 2)
-    cell[i] = wp.vec3i(offset[level] + (x * n[1] + y) * n[2] + z, n[1] * n[2], n[2])
-    place[i] = wp.vec4(inside[0] - float(x), inside[1] - float(y), inside[2] - float(z), spacing[level])
-    excess[i] = (u - inside) * spacing[level]
-
-
-@wp.kernel
-def interpolate(
-    values: wp.array(dtype=wp.float16),
-    want_gradient: bool,
-    cell: wp.array(dtype=wp.vec3i),
-    place: wp.array(dtype=wp.vec4),
-    excess: wp.array(dtype=wp.vec3),
-    distance: wp.array(dtype=float),
-    gradient: wp.array(dtype=wp.vec3),
-):
-    """Trilinear value and its gradient; beyond the lattice those of the surface point seen from its border."""
-    i = wp.tid()
-    c = cell[i]
-    f = place[i]
-    n00 = c[0]
-    n01 = n00 + c[2]
-    n10 = n00 + c[1]
-    n11 = n10 + c[2]
+    fx = inside[0] - float(x)
+    fy = inside[1] - float(y)
+    fz = inside[2] - float(z)
+    n00 = lattice.offset + (x * n[1] + y) * n[2] + z
+    n01 = n00 + n[2]
+    n10 = n00 + n[1] * n[2]
+    n11 = n10 + n[2]
     v00 = float(values[n00])
     v01 = float(values[n01])
     v10 = float(values[n10])
@@ -81,24 +80,84 @@ def interpolate(
     z01 = float(values[n01 + 1]) - v01
     z10 = float(values[n10 + 1]) - v10
     z11 = float(values[n11 + 1]) - v11
-    v00 += z00 * f[2]
-    v01 += z01 * f[2]
-    v10 += z10 * f[2]
-    v11 += z11 * f[2]
-    v0 = v00 + (v01 - v00) * f[1]
-    v1 = v10 + (v11 - v10) * f[1]
-    z0 = z00 + (z01 - z00) * f[1]
-    z1 = z10 + (z11 - z10) * f[1]
+    v00 += z00 * fz
+    v01 += z01 * fz
+    v10 += z10 * fz
+    v11 += z11 * fz
+    v0 = v00 + (v01 - v00) * fy
+    v1 = v10 + (v11 - v10) * fy
+    z0 = z00 + (z01 - z00) * fy
+    z1 = z10 + (z11 - z10) * fy
     y0 = v01 - v00
-    value = v0 + (v1 - v0) * f[0]
-    slope = wp.vec3(v1 - v0, y0 + (v11 - v10 - y0) * f[0], z0 + (z1 - z0) * f[0]) / f[3]
-
-    outside = excess[i]
-    if outside[0] != 0.0 or outside[1] != 0.0 or outside[2] != 0.0:
+    value = v0 + (v1 - v0) * fx
+    slope = wp.vec3(v1 - v0, y0 + (v11 - v10 - y0) * fx, z0 + (z1 - z0) * fx) * lattice.per_metre
+    if outside:
         # From where the point leaves the lattice the surface lies `value` back along the slope.
-        leap = outside + value * wp.normalize(slope)
+        leap = (u - inside) / lattice.per_metre + value * wp.normalize(slope)
         value = wp.length(leap)
         slope = leap / value
-    distance[i] = value
-    if want_gradient:
-        gradient[i] = slope
+    return value, slope
+
+
+@wp.func
+def read_nearest(
+    values: wp.array(dtype=wp.float16), fine: Lattice, coarse: Lattice, low: wp.vec3, high: wp.vec3, p: wp.vec3
+):
+    """As `read`: from the fine lattice where p lies in its box, else from the coarse one."""
+    if within(p, low, high):
+        return read(values, fine, p)
+    return read(values, coarse, p)
+
+
+@wp.kernel
+def signed_distances(
+    lanes: int,
+    atlas: Lattices,
+    objects: wp.array(dtype=int),
+    points: wp.array2d(dtype=wp.vec3),
+    want_gradient: bool,
+    distance: wp.array2d(dtype=float),
+    gradient: wp.array2d(dtype=wp.vec3),
+    rows: wp.array(dtype=int),
+):
+    """Signed distance of points in the frames of `objects`, one of which each row is about; and its gradient."""
+    thread, lane = wp.tid()
+    row = rows[thread]
+    item = objects[row]
+    fine = lattice(atlas, 2 * item)
+    coarse = lattice(atlas, 2 * item + 1)
+    low = atlas.fine_box[item, 0]
+    high = atlas.fine_box[item, 1]
+    for k in range(lane, points.shape[1], lanes):
+        p = points[row, k]
+        value, slope = read_nearest(atlas.values, fine, coarse, low, high, p)
+        distance[row, k] = value
+        if want_gradient:
+            gradient[row, k] = slope
+
+
+@wp.kernel
+def basis_distances(
+    lanes: int,
+    atlas: Lattices,
+    objects: wp.array(dtype=int),
+    rotations: wp.array(dtype=wp.mat33),
+    centroids: wp.array(dtype=wp.vec3),
+    basis: wp.array(dtype=wp.vec3),
+    distance: wp.array2d(dtype=float),
+    rows: wp.array(dtype=int),
+):
+    """Unsigned distance of the points of one basis to objects turned about their centroids, which lie at its origin."""
+    thread, lane = wp.tid()
+    row = rows[thread]
+    item = objects[row]
+    fine = lattice(atlas, 2 * item)
+    coarse = lattice(atlas, 2 * item + 1)
+    low = atlas.fine_box[item, 0]
+    high = atlas.fine_box[item, 1]
+    rotation = rotations[row]
+    centroid = centroids[row]
+    for k in range(lane, basis.shape[0], lanes):
+        p = basis[k] * rotation + centroid
+        value, _slope = read_nearest(atlas.values, fine, coarse, low, high, p)
+        distance[row, k] = wp.abs(value)

@@ -1,37 +1,88 @@
-"""Exact nearest neighbours between point sets small enough for brute force, in pieces that stay in the cache."""
+"""Signed distance to the vertices of a mesh that deforms, such as a posed hand: exact, and cheap enough for a loss."""
 
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+import warp as wp
+from torch import Tensor, nn
 
-# Distances formed at a time. On CPUs pieces of a few MB are several times faster than one large product.
-_PIECE = 1 << 21
+from grabnet.geometry import nearest_kernels as kernels
+from grabnet.geometry.warping import launch
 
-
-@torch.no_grad()
-def nearest(queries: Tensor, points: Tensor) -> Tensor:
-    """Index (B, Q) of the nearest of `points` (B, N, 3) to each of `queries` (B, Q, 3)."""
-    squares = points.square().sum(-1).unsqueeze(1)
-    index = torch.empty(queries.shape[:2], dtype=torch.long, device=queries.device)
-    step = (
-        max(1, _PIECE // max(1, queries.shape[1] * points.shape[1])) if queries.device.type == "cpu" else len(queries)
-    )
-    for start in range(0, len(queries), max(step, 1)):
-        part = slice(start, start + step)
-        # |p|² - 2 q·p orders the points as the distance does.
-        torch.argmin(torch.baddbmm(squares[part], queries[part], points[part].mT, alpha=-2), dim=-1, out=index[part])
-    return index
+# Vertices searched together. With more, groups are passed over less often; with fewer, there are more of them.
+_GROUP_SIZE = 32
 
 
-def signed_offset(queries: Tensor, points: Tensor, normals: Tensor) -> Tensor:
-    """Distance (B, Q) to the nearest of `points`, negative behind that point's normal; differentiable.
+class NearestVertex(nn.Module):
+    """Finds nearest vertices on poses of one mesh.
 
     Args:
-        queries: (B, Q, 3). points, normals: (B, N, 3) vertices of a closed surface and their outward normals.
+        rest: (V, 3) vertices in some pose; those close together in it are searched together.
+        faces: (F, 3) int, oriented outwards.
     """
-    index = nearest(queries, points).unsqueeze(-1).expand(-1, -1, 3)
-    offset = queries - points.gather(1, index)
-    outside = (offset.detach() * normals.gather(1, index)).sum(-1) >= 0
-    distance = (offset.square().sum(-1) + 1e-12).sqrt()  # a gradient at distance 0 too
-    return torch.where(outside, distance, -distance)
+
+    def __init__(self, rest: Tensor, faces: Tensor):
+        super().__init__()
+        groups = _groups(rest, _GROUP_SIZE)
+        corners = faces.flatten().argsort(stable=True)
+        around = torch.bincount(faces.flatten(), minlength=len(rest))
+
+        def buffer(name: str, value: Tensor) -> None:
+            self.register_buffer(name, value.int().contiguous(), persistent=False)
+
+        buffer("faces", faces)
+        buffer("members", torch.cat(groups))
+        buffer("group_start", _starts(torch.tensor([len(g) for g in groups])))
+        buffer("around", corners // 3)
+        buffer("around_start", _starts(around))
+
+    @torch.no_grad()
+    def forward(self, queries: Tensor, vertices: Tensor) -> tuple[Tensor, Tensor]:
+        """Nearest of the vertices (B, V, 3) to each of queries (B, Q, 3).
+
+        Returns:
+            its index (B, Q) int64, and whether the query lies behind the surface there (B, Q): against the vertex's
+            normal, the sum of its faces' normals weighted by area.
+        """
+        queries, vertices = queries.float().contiguous(), vertices.float().contiguous()
+        balls = queries.new_empty(len(vertices), len(self.group_start) - 1, 4)
+        index = torch.empty(queries.shape[:2], dtype=torch.int32, device=queries.device)
+        behind = torch.empty(queries.shape[:2], dtype=torch.bool, device=queries.device)
+        topology = self._topology()
+        launch(kernels.bound, [vertices, balls], [topology], width=balls.shape[1])
+        launch(kernels.nearest_vertex, [vertices, balls, queries, index, behind], [topology], width=queries.shape[1])
+        return index.long(), behind
+
+    def signed_offset(self, queries: Tensor, vertices: Tensor) -> Tensor:
+        """Distance (B, Q) of queries (B, Q, 3) to the nearest of vertices (B, V, 3), negative behind the surface.
+
+        Differentiable in both.
+        """
+        index, behind = self(queries, vertices)
+        offset = queries - vertices.gather(1, index.unsqueeze(-1).expand(-1, -1, 3))
+        distance = (offset.square().sum(-1) + 1e-12).sqrt()  # a gradient at distance 0 too
+        return torch.where(behind, -distance, distance)
+
+    def _topology(self) -> kernels.Topology:
+        topology = kernels.Topology()
+        for name, variable in kernels.Topology.vars.items():
+            setattr(topology, name, wp.from_torch(getattr(self, name), dtype=variable.type.dtype))
+        return topology
+
+
+def _groups(points: Tensor, size: int) -> list[Tensor]:
+    """Numbers of the points (N, 3) in groups of at most `size`, halved across their longest side again and again."""
+    groups, large = [], [torch.arange(len(points), device=points.device)]
+    while large:
+        group = large.pop()
+        if len(group) <= size:
+            groups.append(group)
+            continue
+        sides = points[group].amax(0) - points[group].amin(0)
+        order = group[points[group, sides.argmax()].argsort()]
+        large += [order[: len(order) // 2], order[len(order) // 2 :]]
+    return groups
+
+
+def _starts(counts: Tensor) -> Tensor:
+    return torch.cat([counts.new_zeros(1), counts.cumsum(0)])

@@ -18,6 +18,8 @@ from torch import Tensor
 
 # Fewer items than this per thread are not worth a thread.
 _ITEMS_PER_THREAD = 20_000
+# On a GPU so many threads share a row.
+_LANES = 256
 
 
 @contextmanager
@@ -38,40 +40,39 @@ with _silent_stderr():  # on a machine without an NVIDIA driver warp says so at 
     wp.init()
 
 
-def launch(kernel: wp.Kernel, items: Sequence[Tensor], constants: Sequence[Any]) -> None:
+def launch(kernel: wp.Kernel, items: Sequence[Tensor], constants: Sequence[Any], width: int | None = None) -> None:
     """Run `kernel(*constants, *items)` once for each item; on a CPU in as many threads as torch uses.
 
     Args:
-        items: contiguous tensors (N,), or (N, 3) and (N, 4) for vectors; the kernel writes into those it changes.
-        constants: what all items share: numbers, warp arrays, mesh ids.
+        items: contiguous tensors whose first dimension is the items'; the kernel writes into those it changes.
+        constants: what all items share: numbers, tensors, warp structs, mesh ids.
+        width: of each item, where an item is a row of work. The kernel's first argument is then the number of lanes,
+            threads that share a row: many on a GPU, one on a CPU.
     """
     first = items[0]
     device = wp.device_from_torch(first.device)
     kernel.module.load(device)  # compiled before threads could race for it
+    lanes = [] if width is None else [min(width, _LANES) if device.is_cuda else 1]
+    arguments = [a.type for a in kernel.adj.args]
+    fixed = [*lanes, *map(_as_warp, constants, arguments[len(lanes) :])]
 
     def run(rows: slice) -> None:
-        arrays = [_as_warp(x[rows]) for x in items]
-        wp.launch(kernel, arrays[0].shape[0], [*constants, *arrays], device=device)
+        arrays = map(_as_warp, (x[rows] for x in items), arguments[len(fixed) :])
+        wp.launch(kernel, [rows.stop - rows.start, *lanes], [*fixed, *arrays], device=device)
 
     if device.is_cuda:
         # Queued behind the torch work that made the inputs, and before what will read the outputs.
         with wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream(first.device))):
-            return run(slice(None))
-    threads = max(1, min(torch.get_num_threads(), len(first) // _ITEMS_PER_THREAD))
+            return run(slice(0, len(first)))
+    work = len(first) * (1 if width is None else width)
+    threads = max(1, min(torch.get_num_threads(), work // _ITEMS_PER_THREAD, len(first)))
     if threads == 1:
-        return run(slice(None))
+        return run(slice(0, len(first)))
     edges = [len(first) * i // threads for i in range(threads + 1)]
     with ThreadPoolExecutor(threads) as pool:  # warp releases the interpreter lock while a kernel runs
         list(pool.map(run, [slice(a, b) for a, b in pairwise(edges)]))
 
 
-def shared(tensor: Tensor, dtype: Any = None) -> wp.array:
-    """A tensor as a warp array for all items to read; they share memory."""
-    return wp.from_torch(tensor, dtype=dtype)
-
-
-def _as_warp(tensor: Tensor) -> wp.array:
-    if tensor.dim() == 1:
-        return wp.from_torch(tensor)
-    vectors = {torch.float32: {3: wp.vec3, 4: wp.vec4}, torch.int32: {3: wp.vec3i}}
-    return wp.from_torch(tensor, dtype=vectors[tensor.dtype][tensor.shape[1]])
+def _as_warp(value: Any, declared: Any) -> Any:
+    """A tensor as the array that the kernel declares, sharing its memory."""
+    return wp.from_torch(value, dtype=declared.dtype) if isinstance(value, Tensor) else value

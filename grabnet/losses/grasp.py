@@ -6,10 +6,9 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import Normal
 
-from grabnet.body.anatomy import vertex_normals
 from grabnet.body.hand import HandModel
 from grabnet.data.batches import GraspBatch
-from grabnet.geometry.nearest import signed_offset
+from grabnet.geometry.nearest import NearestVertex
 from grabnet.losses.terms import (
     PointWeights,
     edge_differences,
@@ -49,7 +48,6 @@ class ReconstructionLoss(nn.Module):
         self.register_buffer("vertex_weight", evened if vertices_by_root else likelihood, False)
         self.register_buffer("distance_weight", evened, False)
         self.register_buffer("edges", edge_differences(hand.faces, len(hand.v_template)), False)
-        self.register_buffer("faces", hand.faces, False)
 
     def forward(self, vertices: Tensor, batch: GraspBatch) -> dict[str, Tensor]:
         """Weighted terms for predicted vertices (B, V, 3)."""
@@ -83,12 +81,11 @@ class CoarseNetLoss(ReconstructionLoss):
     ):
         super().__init__(hand, contact, vertex, edge, hand_to_object, root, vertices_by_root=False)
         self.object_to_hand, self.kl, self.point_weights = object_to_hand, kl, point_weights
+        self.nearest = NearestVertex(hand.v_template, hand.faces)
 
     def forward(self, vertices: Tensor, batch: GraspBatch, posterior: Normal) -> dict[str, Tensor]:
         terms = super().forward(vertices, batch)
-        with torch.no_grad():
-            normals = vertex_normals(vertices, self.faces)
-        reached = signed_offset(batch.points, vertices, normals)
+        reached = self.nearest.signed_offset(batch.points, vertices)
         terms["object_to_hand"] = self.object_to_hand * object_to_hand_l1(
             reached, batch.point_distances, self.point_weights
         )

@@ -43,7 +43,7 @@ def test_distances_are_those_to_the_mesh(data, tiny_dataset):
         world = rotation.inv().apply(batch.vertices[k].numpy()) + mesh.vertices.mean(0)
         exact = MeshQuery(mesh).signed_distance(torch.as_tensor(world, dtype=torch.float32))
         assert (batch.distances[k] - exact).abs().mean() < 2e-4
-        torch.testing.assert_close(batch.measure(batch.vertices)[k], batch.distances[k])
+        torch.testing.assert_close(batch.measure(batch.vertices)[k], batch.distances[k], atol=1e-4, rtol=1e-3)
 
 
 def test_points_are_the_nearest_and_their_distances_exact(data):
@@ -53,8 +53,7 @@ def test_points_are_the_nearest_and_their_distances_exact(data):
         tree = cKDTree(batch.vertices[k].numpy())
         distance, _ = tree.query(candidates[k].numpy())
         kept, _ = tree.query(batch.points[k].numpy())
-        # Chosen by a quarter of the vertices: within their spacing of being the very nearest.
-        assert kept.max() < sorted(distance)[64] + 0.008
+        assert kept.max() < sorted(distance)[63] + 1e-6
         assert abs(batch.point_distances[k].abs().numpy() - kept).max() < 1e-4
 
 
@@ -64,7 +63,8 @@ def test_turning_about_the_vertical_changes_no_distance(data):
     still, turned = data.assemble("train", index), data.assemble("train", index, turn=True)
     assert (still.vertices - turned.vertices).abs().max() > 0.05
     torch.testing.assert_close(still.vertices[..., 2], turned.vertices[..., 2])
-    torch.testing.assert_close(still.distances, turned.distances, atol=2e-4, rtol=0)
+    torch.testing.assert_close(turned.measure(turned.vertices), still.distances, atol=2e-4, rtol=0)
+    assert torch.equal(turned.distances, still.distances)
     reposed = data.hand(HandParameters(*turned.hand), turned.rest).vertices
     torch.testing.assert_close(reposed, turned.vertices, atol=1e-5, rtol=0)
 
