@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import functools
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import hydra
@@ -67,14 +67,27 @@ def _rehearse(config_name: str, arguments: list[str]) -> None:
             if parsed.is_sweep_override():
                 first = next(iter(parsed.sweep_string_iterator()))
                 overrides[overrides.index(parsed.input_line)] = f"{parsed.input_line.split('=', 1)[0]}={first}"
+    except HydraException as error:
+        raise UserError(_sentence(error)) from None
+    compose(config_name, overrides)
+
+
+def compose(config_name: str, overrides: Sequence[str]) -> DictConfig:
+    """`configs/<config_name>.yaml` with overrides, checked: what the command of that name would run with.
+
+    Raises:
+        UserError: an override that names or says what is not there.
+    """
+    try:
         with hydra.initialize_config_dir(str(CONFIGS), version_base="1.3"):
-            cfg = hydra.compose(config_name, overrides, return_hydra_config=True)
+            cfg = hydra.compose(config_name, list(overrides), return_hydra_config=True)
         HydraConfig.instance().set_config(cfg)  # for interpolations such as ${hydra:runtime.choices.model}
     except (HydraException, OmegaConfBaseException) as error:
         raise UserError(_sentence(error)) from None
     with open_dict(cfg):
         del cfg["hydra"]
     check(cfg)
+    return cfg
 
 
 def _sentence(error: Exception) -> str:

@@ -75,7 +75,9 @@ def _metrics(trainer: L.Trainer) -> dict[str, float]:
 
 
 def _quiet() -> None:
-    """Drop Lightning's advice that does not apply: batches are made on the device, no worker could help."""
+    """Drop Lightning's advice that does not apply (batches are made on the device, no worker could help) and what it
+    says of its own use of torch."""
+    warnings.filterwarnings("ignore", message=".*LeafSpec.*is deprecated.*")
     warnings.filterwarnings("ignore", message=".*does not have many workers.*")
     warnings.filterwarnings("ignore", message=".*Checkpoint directory .* exists and is not empty.*")
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)

@@ -10,12 +10,10 @@ import sys
 import time
 from pathlib import Path
 
-import hydra
 import pytest
 import torch
-from omegaconf import DictConfig
 
-from grabnet.cli import CONFIGS
+from grabnet.cli import compose
 from grabnet.errors import UserError
 from grabnet.models.checkpoints import read_checkpoint
 from grabnet.models.weights import load_coarsenet, load_refinenet, read_provenance
@@ -44,14 +42,9 @@ def tiny_overrides(root: Path, run_dir: Path, cache_dir: Path, model: str = "coa
     ]
 
 
-def composed(overrides: list[str]) -> DictConfig:
-    with hydra.initialize_config_dir(str(CONFIGS), version_base="1.3"):
-        return hydra.compose("train", overrides)
-
-
 @pytest.mark.parametrize("model", ["coarsenet", "refinenet"])
 def test_a_run_leaves_all_its_records(model, tiny_dataset, tmp_path, cache_dir, hand):
-    metrics = train(composed(tiny_overrides(tiny_dataset, tmp_path, cache_dir, model)))
+    metrics = train(compose("train", tiny_overrides(tiny_dataset, tmp_path, cache_dir, model)))
     assert {"config.yaml", "provenance.json", "metrics.json", "model.safetensors", "checkpoints", "logs"} <= {
         p.name for p in tmp_path.iterdir()
     }
@@ -96,7 +89,7 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(tiny_dataset, tmp_path,
 def test_frames_are_learned_by_heart(tiny_dataset, tmp_path, cache_dir):
     more = ("debug=overfit", "model.width=128", "model.n_hidden=64")
     overrides = [o for o in tiny_overrides(tiny_dataset, tmp_path, cache_dir) if "epochs" not in o and "batch" not in o]
-    metrics = train(composed([*overrides, *more]))
+    metrics = train(compose("train", [*overrides, *more]))
     assert metrics["test/train/v2v"] < 15  # 6.5 here; about 100 untrained
 
 

@@ -39,11 +39,11 @@ def cases(settings: Benchmark) -> list[Case]:
 
     return [
         Case("brute force over 10,000 samples", by_cdist),
-        Case("KD-tree of 10,000 samples", by_tree, "brute force over 10,000 samples"),
-        Case("exact mesh queries", by_query, "KD-tree of 10,000 samples"),
+        Case("KD-tree of 10,000 samples", by_tree, ("brute force over 10,000 samples",)),
+        Case("exact mesh queries", by_query, ("KD-tree of 10,000 samples",)),
         Case(
             "atlas",
             lambda: bps.from_atlas(scene.atlas, scene.objects, scene.rotations, scene.centroids),
-            "KD-tree of 10,000 samples",
+            ("KD-tree of 10,000 samples",),
         ),
     ]

@@ -42,7 +42,7 @@ def cases(settings: Benchmark) -> list[Case]:
 
     return [
         Case("smplx, forward", lambda: theirs(False)),
-        Case("forward", lambda: ours(False), "smplx, forward"),
+        Case("forward", lambda: ours(False), ("smplx, forward",)),
         Case("smplx, forward and backward", lambda: theirs(True)),
-        Case("forward and backward", lambda: ours(True), "smplx, forward and backward"),
+        Case("forward and backward", lambda: ours(True), ("smplx, forward and backward",)),
     ]

@@ -20,6 +20,8 @@ SUITES = {
     "sdf": "signed distance of hand vertices to objects, and building a grid",
     "bps": "basis point features of objects in many poses",
     "hand": "posing a batch of hands",
+    "train": "one training step of each network",
+    "sample": "grasps of a new mesh",
 }
 
 
@@ -38,6 +40,7 @@ class Benchmark:
     threads: int | None
     device: str
     seed: int
+    train: list[str]
 
     def __post_init__(self):
         if self.suite not in SUITES:
@@ -64,10 +67,14 @@ class Benchmark:
 
 def _table(title: str, timings: Sequence[Timing]) -> Table:
     table = Table(title=title)
-    for heading in ("case", "median ms", "quartiles ms", "times faster"):
-        table.add_column(heading, justify="left" if heading == "case" else "right")
+    for heading in ("case", "median ms", "quartiles ms", "compared"):
+        table.add_column(heading, justify="right" if heading.endswith("ms") else "left")
     for timing in timings:
         median, lower, upper = (f"{1e3 * s:.2f}" for s in (timing.median, timing.lower, timing.upper))
-        faster = f"{timing.speedup:.1f} than {timing.baseline}" if timing.baseline else ""
-        table.add_row(timing.name, median, f"{lower} to {upper}", faster)
+        compared = "\n".join(_in_words(ratio, name) for name, ratio in timing.ratios.items())
+        table.add_row(timing.name, median, f"{lower} to {upper}", compared)
     return table
+
+
+def _in_words(ratio: float, baseline: str) -> str:
+    return f"{1 / ratio:.1f} times faster than {baseline}" if ratio < 1 else f"{ratio:.2f} times as long as {baseline}"

@@ -41,14 +41,14 @@ def cases(settings: Benchmark) -> list[Case]:
     nearest = "nearest of 2048 samples"
     return [
         Case(nearest, lambda: differentiate(nearest_sample)),
-        Case("exact mesh queries", lambda: differentiate(exact), nearest),
+        Case("exact mesh queries", lambda: differentiate(exact), (nearest,)),
         Case(
             "atlas lookup",
             lambda: differentiate(lambda p: scene.atlas(p, scene.objects)),
-            nearest,
+            (nearest,),
         ),
         Case("small grid, exact at every node", lambda: _exact_grid(mesh, settings.device)),
-        Case("small grid", lambda: SDFGrid.build(mesh, SMALL, settings.device), "small grid, exact at every node"),
+        Case("small grid", lambda: SDFGrid.build(mesh, SMALL, settings.device), ("small grid, exact at every node",)),
         Case(f"full grid ({len(mesh.faces)} faces)", lambda: SDFGrid.build(mesh, device=settings.device)),
     ]
 

@@ -14,25 +14,26 @@ import torch
 class Case:
     """One thing to time.
 
-    run: does it once. baseline: name of the case it is compared with, which does the same in a plainer way.
+    run: does it once. baselines: names of the cases it is compared with, which do the same in a plainer way, or a
+    part of it. runs: at most so many, for what takes long.
     """
 
     name: str
     run: Callable[[], object]
-    baseline: str | None = None
+    baselines: tuple[str, ...] = ()
+    runs: int | None = None
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Seconds per run: median, and the quartiles as spread. speedup: median of baseline / case, run beside run."""
+    """Seconds per run: median, and the quartiles as spread. ratios: median of case / baseline, run beside run."""
 
     name: str
     runs: int
     median: float
     lower: float
     upper: float
-    baseline: str | None
-    speedup: float | None
+    ratios: dict[str, float]
 
 
 def measure(cases: Sequence[Case], runs: int) -> list[Timing]:
@@ -43,6 +44,8 @@ def measure(cases: Sequence[Case], runs: int) -> list[Timing]:
     seconds: dict[str, list[float]] = {case.name: [] for case in cases}
     for turn in range(runs + 1):
         for case in cases:
+            if case.runs is not None and turn > case.runs:
+                continue
             start = time.perf_counter()
             case.run()
             if torch.cuda.is_available():
@@ -55,7 +58,9 @@ def measure(cases: Sequence[Case], runs: int) -> list[Timing]:
 def _timing(case: Case, seconds: dict[str, list[float]]) -> Timing:
     own = seconds[case.name]
     lower, median, upper = statistics.quantiles(own, n=4, method="inclusive")
-    speedup = None
-    if case.baseline is not None:
-        speedup = statistics.median(b / a for a, b in zip(own, seconds[case.baseline], strict=True))
-    return Timing(case.name, len(own), median, lower, upper, case.baseline, speedup)
+    ratios = {
+        # Of runs in the same turn; one of the two may have taken part in fewer.
+        name: statistics.median(a / b for a, b in zip(own, seconds[name], strict=False))
+        for name in case.baselines
+    }
+    return Timing(case.name, len(own), median, lower, upper, ratios)

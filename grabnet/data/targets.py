@@ -1,4 +1,4 @@
-"""What is learned once from the frames, before training: contact likelihood, true distances, object points near the hand."""
+"""What is learned once from the frames, before training: true distances, object points near the hand, contact."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def bound(
             low = wp.min(low, v)
             high = wp.max(high, v)
         centre = 0.5 * (low + high)
-        square = float(0.0)
+        square = wp.float32(0.0)
         for k in range(start, end):
             square = wp.max(square, wp.length_sq(vertices[row, topology.members[k]] - centre))
         # Rounded up, so that no member lies outside.
@@ -67,7 +67,7 @@ def nearest_vertex(
     n_groups = balls.shape[1]
     for q in range(lane, queries.shape[1], lanes):
         p = queries[row, q]
-        first = int(0)
+        first = wp.int32(0)  # a variable: a bare 0 would be a constant to warp
         square = float(wp.inf)
         for group in range(n_groups):
             s = wp.length_sq(p - centre_of(balls[row, group]))

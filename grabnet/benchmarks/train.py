@@ -1,0 +1,140 @@
+"""One training step of each network: beside the bare network's, and beside the same losses in plain torch."""
+
+from __future__ import annotations
+
+import torch
+from hydra.utils import instantiate
+from torch import Tensor
+
+from grabnet.benchmarks.run import Benchmark
+from grabnet.benchmarks.timing import Case
+from grabnet.body.anatomy import vertex_normals
+from grabnet.cli import compose
+from grabnet.data.datamodule import GraspDataModule
+from grabnet.geometry.rotations import matrix_to_six_d
+from grabnet.losses.terms import PointWeights, hand_to_object_l1, object_to_hand_l1, vertex_l1
+from grabnet.models.training import CoarseNetTraining, GraspTraining
+
+# All samples of an object, as the published loss compares them.
+N_PUBLISHED = 2048
+# Batch elements whose distance matrix the plain way holds at a time (6 MB each).
+_PLAIN_CHUNK = 32
+
+
+def cases(settings: Benchmark) -> list[Case]:
+    found = []
+    for model in ("coarsenet", "refinenet"):
+        overrides = [f"model={model}", f"data.batch_size={settings.batch}", f"data.max_frames={settings.batch}"]
+        step = Step.make(settings, [*overrides, *settings.train])
+        bare, plain = f"{model}, network alone", f"{model}, plain torch losses"
+        found += [
+            Case(bare, step.bare),
+            Case(plain, step.plain, (bare,), runs=2),
+            Case(f"{model}, full step", step.full, (bare, plain)),
+        ]
+        if model == "coarsenet":
+            published = Step.make(settings, [*overrides, *settings.train, f"data.near_points={N_PUBLISHED}"])
+            found.append(Case(f"{model}, full step, {N_PUBLISHED} object points", published.full, (bare, plain)))
+    return found
+
+
+class Step:
+    """One network's training step on a fixed choice of frames, with all or a part of what belongs to it.
+
+    Args:
+        data: set up. module: on the same device, in training mode.
+    """
+
+    def __init__(self, data: GraspDataModule, module: GraspTraining):
+        self.data, self.module = data, module
+        self.optimizer = module.make_optimizer(module.network.parameters())
+        self.index = torch.arange(len(data.frames("train")), device=module.hand.v_template.device)
+        self.batch = data.assemble("train", self.index, turn=True)
+        if isinstance(module, CoarseNetTraining):
+            self.features = self.batch.features(module.network.bps)
+
+    @classmethod
+    def make(cls, settings: Benchmark, overrides: list[str]) -> Step:
+        """Step of the networks and data that `configs/train.yaml` and overrides describe."""
+        cfg = compose("train", overrides)
+        torch.manual_seed(settings.seed)
+        hand = instantiate(cfg.hand_model)
+        data: GraspDataModule = instantiate(cfg.data, hand=hand)
+        data.prepare_data()
+        data.setup()
+        module: GraspTraining = instantiate(cfg.model, hand=hand, contact=data.contact)
+        return cls(data, module.to(settings.device).train())
+
+    def full(self) -> None:
+        """Batch assembly, basis points, network, hands, all losses, Adam."""
+        _, terms = self.module.reconstruct(self.data.assemble("train", self.index, turn=True))
+        self._descend(torch.stack(list(terms.values())).sum())
+
+    def bare(self) -> None:
+        """The network's layers, forward and backward, and Adam."""
+        network, hand = self.module.network, self.batch.hand
+        if isinstance(self.module, CoarseNetTraining):
+            out, posterior = network(self.features, hand.global_orient, hand.transl)
+            return self._descend(out.rotations.sum() + out.transl.sum() + (posterior.mean + posterior.stddev).sum())
+        pose, transl = matrix_to_six_d(hand.rotations).flatten(1), hand.transl
+        for _ in range(network.iterations):
+            pose_change, transl_change = network.correction(self.batch.distances, pose, transl)
+            pose, transl = pose + pose_change, transl + transl_change
+        self._descend(pose.sum() + transl.sum())
+
+    def plain(self) -> None:
+        """As published: batch and basis points come from disk, all else is compared anew in every step."""
+        batch, module, network = self.batch, self.module, self.module.network
+        points = batch.object_set.points[batch.objects] @ batch.rotations.mT
+        if isinstance(module, CoarseNetTraining):
+            hand, posterior = network(self.features, batch.hand.global_orient, batch.hand.transl)
+        else:
+            hand = network(module.disturb(batch.hand), lambda v: _nearest_distance(v, points), batch.rest)
+        vertices = module.hand(hand, batch.rest).vertices
+        loss = module.loss
+        total = loss.vertex * vertex_l1(vertices, batch.vertices, loss.vertex_weight)
+        total += loss.edge * _edges(vertices - batch.vertices, module.hand.faces).abs().mean()
+        total += loss.hand_to_object * hand_to_object_l1(
+            _nearest_distance(vertices, points), _nearest_distance(batch.vertices, points), loss.distance_weight
+        )
+        if isinstance(module, CoarseNetTraining):
+            faces = module.hand.faces
+            reached, true = (_signed_distance(points, v, faces) for v in (vertices, batch.vertices))
+            total += loss.object_to_hand * object_to_hand_l1(reached, true, PointWeights())
+            total += loss.kl * torch.distributions.kl_divergence(posterior, _standard(posterior.mean)).sum(-1).mean()
+        self._descend(total)
+
+    def _descend(self, loss: Tensor) -> None:
+        self.optimizer.zero_grad()
+        loss.backward()
+        self.optimizer.step()
+
+
+def _standard(like: Tensor) -> torch.distributions.Normal:
+    return torch.distributions.Normal(torch.zeros_like(like), torch.ones_like(like))
+
+
+def _edges(difference: Tensor, faces: Tensor) -> Tensor:
+    return torch.cat([difference[:, faces[:, k]] - difference[:, faces[:, (k + 1) % 3]] for k in range(3)], 1)
+
+
+@torch.no_grad()
+def _nearest(queries: Tensor, points: Tensor) -> Tensor:
+    """Index (B, Q) of the nearest of points (B, N, 3) to each of queries (B, Q, 3)."""
+    pieces = zip(queries.split(_PLAIN_CHUNK), points.split(_PLAIN_CHUNK), strict=True)
+    return torch.cat([torch.cdist(q, p).argmin(-1) for q, p in pieces])
+
+
+def _offset(queries: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    index = _nearest(queries, points).unsqueeze(-1).expand(-1, -1, 3)
+    return queries - points.gather(1, index), index
+
+
+def _nearest_distance(queries: Tensor, points: Tensor) -> Tensor:
+    return _offset(queries, points)[0].norm(dim=-1)
+
+
+def _signed_distance(queries: Tensor, vertices: Tensor, faces: Tensor) -> Tensor:
+    offset, index = _offset(queries, vertices)
+    behind = (offset.detach() * vertex_normals(vertices.detach(), faces).gather(1, index)).sum(-1) < 0
+    return torch.where(behind, -1.0, 1.0) * offset.norm(dim=-1)
