@@ -89,7 +89,7 @@ class Step:
         if isinstance(module, CoarseNetTraining):
             hand, posterior = network(self.features, batch.hand.global_orient, batch.hand.transl)
         else:
-            hand = network(module.disturb(batch.hand), lambda v: _nearest_distance(v, points), batch.rest)
+            hand = network(module.source(batch), lambda v: _nearest_distance(v, points), batch.rest)
         vertices = module.hand(hand, batch.rest).vertices
         loss = module.loss
         total = loss.vertex * vertex_l1(vertices, batch.vertices, loss.vertex_weight)

@@ -51,7 +51,7 @@ def skin(vertices: Tensor, weights: Tensor, rotations: Tensor, translations: Ten
     """Blend the joints' rigid motions at each vertex.
 
     With one rest shape for the whole batch this is a single product with the fixed matrix of weighted homogeneous
-    vertices; with a shape per element the blended transforms are formed first (three times the work).
+    vertices; with a shape per element the blended transforms are formed first (twice the work).
 
     Args:
         vertices: (V, 3) shared or (B, V, 3) rest vertices, metres.
@@ -62,15 +62,19 @@ def skin(vertices: Tensor, weights: Tensor, rotations: Tensor, translations: Ten
         (B, V, 3) posed vertices.
     """
     batch, n_joints = rotations.shape[:2]
-    transforms = torch.cat([rotations, translations.unsqueeze(-1)], -1)  # (B, J, 3, 4)
     if vertices.dim() == 2:
+        transforms = torch.cat([rotations, translations.unsqueeze(-1)], -1)  # (B, J, 3, 4)
         basis = (weights.unsqueeze(-1) * homogeneous(vertices).unsqueeze(1)).flatten(1)  # (V, J·4)
         posed = basis @ transforms.permute(1, 3, 0, 2).reshape(4 * n_joints, batch * 3)
         return posed.unflatten(1, (batch, 3)).transpose(0, 1)
-    blended = weights @ transforms.permute(1, 2, 3, 0).reshape(n_joints, 12 * batch)  # (V, 12·B)
-    blended = blended.unflatten(1, (3, 4, batch))
-    rest = homogeneous(vertices).permute(1, 2, 0).unsqueeze(1)  # (V, 1, 4, B)
-    return (blended * rest).sum(2).permute(2, 0, 1)
+    # Column by column of the transforms, so that no product of all columns with the vertices is ever stored.
+    *columns, posed = (
+        (weights @ column.permute(1, 2, 0).reshape(n_joints, 3 * batch)).unflatten(1, (3, batch))  # (V, 3, B)
+        for column in (*rotations.unbind(-1), translations)
+    )
+    for column, coordinate in zip(columns, vertices.permute(1, 2, 0).unbind(1), strict=True):
+        posed = torch.addcmul(posed, column, coordinate.unsqueeze(1))
+    return posed.permute(2, 0, 1)
 
 
 def homogeneous(points: Tensor) -> Tensor:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from grabnet.body.hand import HandParameters
+from grabnet.data.batches import GraspBatch
 from grabnet.geometry.rotations import axis_angle_to_matrix
 
 
@@ -19,8 +20,9 @@ class PoseNoise:
     def __init__(self, finger: float, wrist: float, transl: float):
         self.finger, self.wrist, self.transl = finger, wrist, transl
 
-    def __call__(self, hand: HandParameters) -> HandParameters:
-        """A noisy copy of a batch of hands, from torch's global generator."""
+    def __call__(self, batch: GraspBatch) -> HandParameters:
+        """A noisy copy of a batch's hands, from torch's global generator."""
+        hand = batch.hand
         return HandParameters(
             hand.global_orient @ _random_turn(hand.global_orient, self.wrist),
             hand.hand_pose @ _random_turn(hand.hand_pose, self.finger),

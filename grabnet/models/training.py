@@ -119,12 +119,12 @@ class CoarseNetTraining(GraspTraining):
 
 
 class RefineNetTraining(GraspTraining):
-    """Trains RefineNet to undo disturbances of true grasps.
+    """Trains RefineNet to mend what comes near a true grasp.
 
     Args:
         hand: the hand model. contact: (V,) share of training frames in which each vertex touches.
         iterations, width, n_hidden, dropout: of the network.
-        disturb: a batch of true hands → what RefineNet starts from.
+        source: a batch → hands near its true ones, which RefineNet starts from.
         loss: makes the loss, given hand and contact.
         optimizer, scheduler: as in `GraspTraining`.
     """
@@ -140,17 +140,17 @@ class RefineNetTraining(GraspTraining):
         width: int,
         n_hidden: int,
         dropout: float,
-        disturb: Callable[[HandParameters], HandParameters],
+        source: Callable[[GraspBatch], HandParameters],
         loss: Callable[..., RefineNetLoss],
         optimizer: MakeOptimizer,
         scheduler: MakeScheduler,
     ):
         network = RefineNet(hand, iterations, width, n_hidden, dropout)
         super().__init__(network, loss(hand=hand, contact=contact), hand, optimizer, scheduler)
-        self.disturb = disturb
+        self.source = source
 
     def reconstruct(self, batch: GraspBatch) -> tuple[Tensor, dict[str, Tensor]]:
-        hand = self.network(self.disturb(batch.hand), batch.measure, batch.rest)
+        hand = self.network(self.source(batch), batch.measure, batch.rest)
         vertices = self.hand(hand, batch.rest).vertices
         return vertices, self.loss(vertices, batch)
 

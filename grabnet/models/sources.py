@@ -1,0 +1,30 @@
+"""What RefineNet may learn from besides noise: the guesses of a trained CoarseNet (paper 5.1)."""
+
+from __future__ import annotations
+
+import torch
+from torch.distributions import Normal
+
+from grabnet.body.hand import HandParameters
+from grabnet.data.batches import GraspBatch
+from grabnet.models.weights import load_coarsenet
+
+
+class CoarseNetGuesses:
+    """A trained CoarseNet's reconstructions of a batch, each from a sample of its posterior.
+
+    Args:
+        coarsenet: run folder or weights file.
+        spread: times the posterior's deviation; above 1 the guesses are as rough as those for new objects.
+    """
+
+    def __init__(self, coarsenet: str, spread: float = 1.0):
+        self.network, self.spread = load_coarsenet(coarsenet), spread
+
+    @torch.no_grad()
+    def __call__(self, batch: GraspBatch) -> HandParameters:
+        """Hands (B), from torch's global generator."""
+        network = self.network.to(batch.rotations.device)
+        features = batch.features(network.bps)
+        posterior = network.encode(features, batch.hand.global_orient, batch.hand.transl)
+        return network.decode(Normal(posterior.mean, self.spread * posterior.stddev).sample(), features)
