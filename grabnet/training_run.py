@@ -65,7 +65,8 @@ def train(cfg: DictConfig) -> dict[str, float]:
     write_json(run_dir / "metrics.json", metrics)
     if trainer.is_global_zero:
         config: Any = OmegaConf.to_container(cfg, resolve=True)
-        save_network(run_dir / FILE_NAME, module.network, record | {"config": config, "metrics": metrics})
+        for folder, network in module.networks.items():
+            save_network(run_dir / folder / FILE_NAME, network, record | {"config": config, "metrics": metrics})
     log.info("Weights, metrics and logs are in %s.", run_dir)
     return metrics
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor, nn
 from torch.distributions import Normal
 
 from grabnet.body.hand import HandModel
 from grabnet.data.batches import GraspBatch
+from grabnet.errors import UserError
 from grabnet.geometry.nearest import NearestVertex
 from grabnet.losses.terms import (
     PointWeights,
@@ -27,7 +29,11 @@ class ReconstructionLoss(nn.Module):
         contact: (V,) share of training frames in which each vertex touches; normalised here to a maximum of 1.
         vertex, edge, hand_to_object: weights of the terms.
         root: w' = w^(1/root) weighs the distances; higher means more even.
+        contact_weights: "learned", w from `contact`, or "uniform", 1 for every vertex.
         vertices_by_root: weigh the vertices by w' too, instead of by w.
+
+    Raises:
+        UserError: other contact_weights.
     """
 
     def __init__(
@@ -38,10 +44,14 @@ class ReconstructionLoss(nn.Module):
         edge: float,
         hand_to_object: float,
         root: float,
+        contact_weights: str,
         vertices_by_root: bool,
     ):
         super().__init__()
-        likelihood = contact / contact.max().clamp_min(1e-12)
+        if contact_weights not in ("learned", "uniform"):
+            raise UserError(f"contact_weights is '{contact_weights}'; it can be learned or uniform.")
+        uniform = contact_weights == "uniform"
+        likelihood = torch.ones_like(contact) if uniform else contact / contact.max().clamp_min(1e-12)
         evened = likelihood ** (1 / root)
         self.vertex, self.edge, self.hand_to_object = vertex, edge, hand_to_object
         self.register_buffer("vertex_weight", evened if vertices_by_root else likelihood, False)
@@ -76,9 +86,10 @@ class CoarseNetLoss(ReconstructionLoss):
         object_to_hand: float,
         kl: float,
         root: float,
+        contact_weights: str,
         point_weights: PointWeights,
     ):
-        super().__init__(hand, contact, vertex, edge, hand_to_object, root, vertices_by_root=False)
+        super().__init__(hand, contact, vertex, edge, hand_to_object, root, contact_weights, vertices_by_root=False)
         self.object_to_hand, self.kl, self.point_weights = object_to_hand, kl, point_weights
         self.nearest = NearestVertex(hand.v_template, hand.faces)
 
@@ -104,8 +115,9 @@ class RefineNetLoss(ReconstructionLoss):
         hand_to_object: float,
         kl: float,
         root: float,
+        contact_weights: str,
     ):
-        super().__init__(hand, contact, vertex, edge, hand_to_object, root, vertices_by_root=True)
+        super().__init__(hand, contact, vertex, edge, hand_to_object, root, contact_weights, vertices_by_root=True)
         self.kl = kl
 
     def forward(self, vertices: Tensor, batch: GraspBatch) -> dict[str, Tensor]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import torch
-from torch.distributions import Normal
 
 from grabnet.body.hand import HandParameters
 from grabnet.data.batches import GraspBatch
@@ -27,4 +26,5 @@ class CoarseNetGuesses:
         network = self.network.to(batch.rotations.device)
         features = batch.features(network.bps)
         posterior = network.encode(features, batch.hand.global_orient, batch.hand.transl)
-        return network.decode(Normal(posterior.mean, self.spread * posterior.stddev).sample(), features)
+        latent = posterior.mean + self.spread * posterior.stddev * torch.randn_like(posterior.mean)
+        return network.decode(latent, features)

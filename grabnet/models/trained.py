@@ -12,7 +12,7 @@ from grabnet.files import sha256
 from grabnet.models.weights import FILE_NAME, read_provenance, weights_file
 
 
-def find_network(kind: str, path: str | Path | None, runs: str | Path) -> Path:
+def find_network(kind: str, path: str | Path | None, runs: str | Path = "runs") -> Path:
     """Weights of a trained network.
 
     Args:

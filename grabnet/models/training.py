@@ -1,4 +1,4 @@
-"""LightningModules: one step of each network, with its losses and the errors reported in the paper."""
+"""LightningModules: one step of either network or of both, with losses and the errors reported in the paper."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from grabnet.geometry.bps import BPS
 from grabnet.losses.grasp import CoarseNetLoss, RefineNetLoss
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet
+from grabnet.models.trained import find_network
+from grabnet.models.weights import load_coarsenet, load_refinenet
 
 MakeOptimizer = Callable[[Iterable[nn.Parameter]], torch.optim.Optimizer]
 MakeScheduler = Callable[[torch.optim.Optimizer], Any]
@@ -38,6 +40,11 @@ class GraspTraining(L.LightningModule):
         super().__init__()
         self.network, self.loss, self.hand = network, loss, hand
         self.make_optimizer, self.make_scheduler = optimizer, scheduler
+
+    @property
+    def networks(self) -> dict[str, nn.Module]:
+        """What to save, by folder within the run's."""
+        return {"": self.network}
 
     def configure_optimizers(self) -> dict[str, Any]:
         optimizer = self.make_optimizer(self.network.parameters())
@@ -153,6 +160,50 @@ class RefineNetTraining(GraspTraining):
         hand = self.network(self.source(batch), batch.measure, batch.rest)
         vertices = self.hand(hand, batch.rest).vertices
         return vertices, self.loss(vertices, batch)
+
+
+class GrabNetTraining(GraspTraining):
+    """Trains both networks end to end: what RefineNet could not mend is told to CoarseNet, too.
+
+    Args:
+        hand: the hand model. contact: (V,) share of training frames in which each vertex touches.
+        coarsenet, refinenet: run folders or weights files to start from; the newest runs when omitted.
+        coarse_loss, refine_loss: make the losses of the guess and of the refined grasp, given hand and contact.
+        optimizer, scheduler: as in `GraspTraining`.
+    """
+
+    def __init__(
+        self,
+        hand: HandModel,
+        contact: Tensor,
+        coarsenet: str | None,
+        refinenet: str | None,
+        coarse_loss: Callable[..., CoarseNetLoss],
+        refine_loss: Callable[..., RefineNetLoss],
+        optimizer: MakeOptimizer,
+        scheduler: MakeScheduler,
+    ):
+        networks = {
+            "coarsenet": load_coarsenet(find_network("CoarseNet", coarsenet)),
+            "refinenet": load_refinenet(find_network("RefineNet", refinenet), hand),
+        }
+        losses = {
+            "coarsenet": coarse_loss(hand=hand, contact=contact),
+            "refinenet": refine_loss(hand=hand, contact=contact),
+        }
+        super().__init__(nn.ModuleDict(networks).train(), nn.ModuleDict(losses), hand, optimizer, scheduler)
+
+    @property
+    def networks(self) -> dict[str, nn.Module]:
+        return dict(self.network)
+
+    def reconstruct(self, batch: GraspBatch) -> tuple[Tensor, dict[str, Tensor]]:
+        coarsenet, refinenet = self.network["coarsenet"], self.network["refinenet"]
+        guess, posterior = coarsenet(batch.features(coarsenet.bps), batch.hand.global_orient, batch.hand.transl)
+        guessed = self.hand(guess, batch.rest).vertices
+        vertices = self.hand(refinenet(guess, batch.measure, batch.rest), batch.rest).vertices
+        terms = {f"coarse_{name}": term for name, term in self.loss["coarsenet"](guessed, batch, posterior).items()}
+        return vertices, terms | self.loss["refinenet"](vertices, batch)
 
 
 def reconstruction_errors(vertices: Tensor, true: Tensor) -> dict[str, Tensor]:
