@@ -25,6 +25,7 @@ demo: $(DEMO)/coarsenet/model.safetensors $(DEMO)/refinenet/model.safetensors
 	$(BIN)/python scripts/sample.py n=20 output=$(DEMO)/grasps coarsenet=$(DEMO)/coarsenet refinenet=$(DEMO)/refinenet \
 	  mesh=[$(subst $(empty) $(empty),$(comma),$(UNSEEN:%=data/open/tools/object_meshes/contact_meshes/%.ply))]
 
+$(DEMO)/refinenet/model.safetensors: | $(DEMO)/coarsenet/model.safetensors
 $(DEMO)/%/model.safetensors: | $(READY)
 	$(BIN)/python train.py experiment=demo_$* run_dir=$(@D)
 

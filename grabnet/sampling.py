@@ -40,6 +40,8 @@ class Sampling:
     refine: bool
     format: str | list[str] | None
     scale: float
+    max_size: float
+    min_size: float
     up: str | None
     orientation: str
     betas: list[float] | None
@@ -101,7 +103,7 @@ def sample(wanted: Sampling) -> int:
         try:
             mesh = load_mesh(file)
             to_object = file_to_object(file, wanted.scale, wanted.up)
-            check_size(mesh.transformed(to_object), file)
+            check_size(mesh.transformed(to_object), file, wanted.max_size, wanted.min_size)
             grasps = grabber.grasp(
                 mesh,
                 wanted.n,

@@ -62,6 +62,17 @@ def test_a_run_leaves_all_its_records(model, tiny_dataset, tmp_path, cache_dir, 
         torch.testing.assert_close(value, best[f"network.{name}"])
 
 
+def test_both_networks_go_on_end_to_end_from_trained_ones(tiny_dataset, tmp_path, cache_dir, hand):
+    for model in ("coarsenet", "refinenet"):
+        train(compose("train", tiny_overrides(tiny_dataset, tmp_path / model, cache_dir, model)))
+    overrides = [o for o in tiny_overrides(tiny_dataset, tmp_path / "both", cache_dir, "grabnet") if "model." not in o]
+    start = [f"model.{name}={tmp_path / name}" for name in ("coarsenet", "refinenet")]
+    train(compose("train", [*overrides, *start]))
+    for name, load in (("coarsenet", load_coarsenet), ("refinenet", lambda path: load_refinenet(path, hand))):
+        before, after = load(tmp_path / name), load(tmp_path / "both" / name)
+        assert any(not torch.equal(a, b) for a, b in zip(before.parameters(), after.parameters(), strict=True))
+
+
 def test_a_killed_run_goes_on_as_if_nothing_had_happened(tiny_dataset, tmp_path, cache_dir):
     unbroken, broken = tmp_path / "unbroken", tmp_path / "broken"
     overrides = ("trainer.max_epochs=25", "test=false")

@@ -11,14 +11,13 @@ from grabnet.benchmarks.timing import Case
 from grabnet.body.anatomy import vertex_normals
 from grabnet.cli import compose
 from grabnet.data.datamodule import GraspDataModule
+from grabnet.geometry.nearest import nearest_point, nearest_point_distance
 from grabnet.geometry.rotations import matrix_to_six_d
 from grabnet.losses.terms import PointWeights, hand_to_object_l1, object_to_hand_l1, vertex_l1
 from grabnet.models.training import CoarseNetTraining, GraspTraining
 
 # All samples of an object, as the published loss compares them.
 N_PUBLISHED = 2048
-# Batch elements whose distance matrix the plain way holds at a time (6 MB each).
-_PLAIN_CHUNK = 32
 
 
 def cases(settings: Benchmark) -> list[Case]:
@@ -89,13 +88,15 @@ class Step:
         if isinstance(module, CoarseNetTraining):
             hand, posterior = network(self.features, batch.hand.global_orient, batch.hand.transl)
         else:
-            hand = network(module.source(batch), lambda v: _nearest_distance(v, points), batch.rest)
+            hand = network(module.source(batch), lambda v: nearest_point_distance(v, points), batch.rest)
         vertices = module.hand(hand, batch.rest).vertices
         loss = module.loss
         total = loss.vertex * vertex_l1(vertices, batch.vertices, loss.vertex_weight)
         total += loss.edge * _edges(vertices - batch.vertices, module.hand.faces).abs().mean()
         total += loss.hand_to_object * hand_to_object_l1(
-            _nearest_distance(vertices, points), _nearest_distance(batch.vertices, points), loss.distance_weight
+            nearest_point_distance(vertices, points),
+            nearest_point_distance(batch.vertices, points),
+            loss.distance_weight,
         )
         if isinstance(module, CoarseNetTraining):
             faces = module.hand.faces
@@ -118,23 +119,8 @@ def _edges(difference: Tensor, faces: Tensor) -> Tensor:
     return torch.cat([difference[:, faces[:, k]] - difference[:, faces[:, (k + 1) % 3]] for k in range(3)], 1)
 
 
-@torch.no_grad()
-def _nearest(queries: Tensor, points: Tensor) -> Tensor:
-    """Index (B, Q) of the nearest of points (B, N, 3) to each of queries (B, Q, 3)."""
-    pieces = zip(queries.split(_PLAIN_CHUNK), points.split(_PLAIN_CHUNK), strict=True)
-    return torch.cat([torch.cdist(q, p).argmin(-1) for q, p in pieces])
-
-
-def _offset(queries: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-    index = _nearest(queries, points).unsqueeze(-1).expand(-1, -1, 3)
-    return queries - points.gather(1, index), index
-
-
-def _nearest_distance(queries: Tensor, points: Tensor) -> Tensor:
-    return _offset(queries, points)[0].norm(dim=-1)
-
-
 def _signed_distance(queries: Tensor, vertices: Tensor, faces: Tensor) -> Tensor:
-    offset, index = _offset(queries, vertices)
+    index = nearest_point(queries, vertices).unsqueeze(-1).expand(-1, -1, 3)
+    offset = queries - vertices.gather(1, index)
     behind = (offset.detach() * vertex_normals(vertices.detach(), faces).gather(1, index)).sum(-1) < 0
     return torch.where(behind, -1.0, 1.0) * offset.norm(dim=-1)

@@ -39,6 +39,7 @@ class GraspDataModule(L.LightningDataModule):
         batch_size: frames per step.
         object_points: surface samples per object.
         near_points: of these, how many nearest to the hand enter the object→hand loss (published: all).
+        measure: hand→object distances are signed, to the "surface"; or unsigned, to the nearest of the "samples".
         contact_distance: metres within which a hand vertex counts as touching (spec 4).
         turn: rotate training frames about the vertical at random.
         max_frames: use only so many training frames, evenly spaced; all when omitted.
@@ -57,6 +58,7 @@ class GraspDataModule(L.LightningDataModule):
         batch_size: int = 256,
         object_points: int = 2048,
         near_points: int = 128,
+        measure: str = "surface",
         contact_distance: float = 0.0045,
         turn: bool = True,
         max_frames: int | None = None,
@@ -71,7 +73,7 @@ class GraspDataModule(L.LightningDataModule):
         self.objects_dir = Path(objects_dir) if objects_dir else Path(root) / OBJECT_MESHES
         self.split_objects = {"val": set(val_objects), "test": set(test_objects)}
         self.batch_size, self.object_points, self.near_points = batch_size, object_points, near_points
-        self.contact_distance, self.turn, self.max_frames = contact_distance, turn, max_frames
+        self.measure, self.contact_distance, self.turn, self.max_frames = measure, contact_distance, turn, max_frames
         self.cache_dir, self.seed, self.prepare = cache_dir, seed, prepare
         self.assembler: BatchAssembler | None = None
         self.store: FramesStore | None = None
@@ -93,6 +95,7 @@ class GraspDataModule(L.LightningDataModule):
             n_points=self.object_points,
             seed=self.seed,
             cache_dir=self.cache_dir,
+            measure=self.measure,
         )
         self.assembler = BatchAssembler(self.hand, self.store.v_template, objects)
         for split in SPLITS:

@@ -13,6 +13,7 @@ from grabnet.errors import UserError
 from grabnet.files import existing, sha256
 from grabnet.geometry.atlas import SDFAtlas, SDFGrid
 from grabnet.geometry.mesh import Mesh, load_mesh
+from grabnet.geometry.nearest import nearest_point_distance
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf")
 
@@ -26,6 +27,11 @@ class ObjectSet(nn.Module):
         n_points: surface points sampled per object (spec 2: 2048).
         seed: of the sampling.
         cache_dir: where signed-distance grids are kept; the user's cache folder when omitted.
+        measure: what `distances` are: to the "surface", signed, by the atlas; or unsigned to the nearest of the
+            "samples", as published (spec 2), by brute force.
+
+    Raises:
+        UserError: another `measure`.
 
     Attributes:
         centroids (O, 3): mean of the mesh vertices (spec 3), object frame.
@@ -40,8 +46,12 @@ class ObjectSet(nn.Module):
         n_points: int = 2048,
         seed: int = 0,
         cache_dir: str | Path | None = None,
+        measure: str = "surface",
     ):
         super().__init__()
+        if measure not in ("surface", "samples"):
+            raise UserError(f"data.measure is '{measure}'; it can be surface or samples.")
+        self.measure = measure
         self.names = list(names)
         self.sha256 = sha256(*(mesh.sha256 for mesh in meshes))
         centroids = torch.stack([torch.as_tensor(mesh.centroid, dtype=torch.float32) for mesh in meshes])
@@ -72,5 +82,7 @@ class ObjectSet(nn.Module):
         return points @ rotations + self.centroids[objects].unsqueeze(1)
 
     def distances(self, points: Tensor, objects: Tensor, rotations: Tensor) -> Tensor:
-        """Signed distances (B, N) in metres of world points (B, N, 3); arguments as in `to_object`."""
+        """Distances (B, N) in metres of world points (B, N, 3), as `measure` says; arguments as in `to_object`."""
+        if self.measure == "samples":
+            return nearest_point_distance(points, self.points[objects] @ rotations.mT)
         return self.atlas(self.to_object(points, objects, rotations), objects)

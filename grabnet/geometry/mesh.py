@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,8 +15,6 @@ from grabnet.files import existing, replacing, sha256
 from grabnet.geometry.mesh_formats import read_geometry
 
 MAX_FACES = 2_000_000
-# Objects that a hand takes: outside this range of largest sides (metres) the units are probably wrong.
-GRASPABLE = (0.01, 0.40)
 # The axis that points up, where a format's specification says so; every other file is taken as z-up.
 FORMAT_UP = {".gltf": "y", ".glb": "y"}
 
@@ -150,9 +149,12 @@ def file_to_object(path: str | Path, scale: float = 1.0, up: str | None = None) 
     return matrix
 
 
-def check_size(mesh: Mesh, name: str | Path) -> None:
-    """Raise a `UserError` suggesting `scale=` where a mesh in metres is larger or smaller than what a hand takes."""
-    smallest, largest = GRASPABLE
+def check_size(mesh: Mesh, name: str | Path, largest: float = 0.4, smallest: float = 0.01) -> None:
+    """Raise a `UserError` suggesting `scale=` where the largest side of a mesh, in metres, is beyond these bounds.
+
+    Args:
+        largest, smallest: metres; most meshes beyond them are in other units, and no hand takes the rest.
+    """
     side = float(mesh.extents.max())
     if smallest <= side <= largest:
         return
@@ -161,7 +163,10 @@ def check_size(mesh: Mesh, name: str | Path) -> None:
     fitting = [f"scale={factor} if it is in {unit}" for unit, factor in fits.items()]
     remedy = " or ".join(fitting) if fitting else "scale=<metres per unit of the file>"
     bound = f"larger than {largest * 100:g} cm" if side > largest else f"smaller than {smallest * 100:g} cm"
-    raise UserError(f"{name} has a largest side of {side:.4g}, {bound} when read as metres: pass {remedy}.")
+    own = f"max_size={math.ceil(100 * side) / 100:g}" if side > largest else "min_size=0"
+    raise UserError(
+        f"{name} has a largest side of {side:.4g}, {bound} when read as metres: pass {remedy}, or {own} if it is so."
+    )
 
 
 def _check(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""Signed distance to the vertices of a mesh that deforms, such as a posed hand: exact, and cheap enough for a loss."""
+"""Exact distances to points: to the vertices of a mesh that deforms, such as a posed hand, or to any cloud."""
 
 from __future__ import annotations
 
@@ -68,6 +68,23 @@ class NearestVertex(nn.Module):
         for name, variable in kernels.Topology.vars.items():
             setattr(topology, name, wp.from_torch(getattr(self, name), dtype=variable.type.dtype))
         return topology
+
+
+@torch.no_grad()
+def nearest_point(queries: Tensor, points: Tensor, chunk: int = 32) -> Tensor:
+    """Index (B, Q) of the nearest of points (B, N, 3) to each of queries (B, Q, 3), by brute force.
+
+    Args:
+        chunk: batch elements whose Q x N distances are held at a time.
+    """
+    pieces = zip(queries.split(chunk), points.split(chunk), strict=True)
+    return torch.cat([torch.cdist(q, p).argmin(-1) for q, p in pieces])
+
+
+def nearest_point_distance(queries: Tensor, points: Tensor) -> Tensor:
+    """Distance (B, Q) of queries (B, Q, 3) to the nearest of points (B, N, 3), by brute force; differentiable."""
+    index = nearest_point(queries, points).unsqueeze(-1).expand(-1, -1, 3)
+    return (queries - points.gather(1, index)).norm(dim=-1)
 
 
 def _groups(points: Tensor, size: int) -> list[Tensor]:

@@ -117,7 +117,7 @@ def test_too_many_faces_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("side", "remedy"),
     [
-        (95.0, r"larger than 40 cm when read as metres: pass scale=0\.001 if it is in millimetres\."),
+        (95.0, r"larger than 40 cm when read as metres: pass scale=0\.001 .* or max_size=95 if it is so\."),
         (9.5, r"scale=0\.01 if it is in centimetres or scale=0\.0254 if it is in inches"),
         (0.0001, r"smaller than 1 cm .* scale=<metres per unit"),
     ],
@@ -130,6 +130,7 @@ def test_sizes_no_hand_takes_are_refused_with_a_scale(side, remedy):
 def test_sizes_a_hand_takes_pass():
     check_size(box((0.011, 0.001, 0.001)), "pin")
     check_size(box((0.39, 0.1, 0.1)), "pan")
+    check_size(box((0.7, 0.1, 0.1)), "broom", largest=0.71)
 
 
 @pytest.mark.parametrize(
