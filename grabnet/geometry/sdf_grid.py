@@ -34,8 +34,8 @@ class AtlasConfig:
     coarse_pad: float = 0.06  # wide box beyond the mesh
     coarse_radius: float = 0.16  # and at least this far from the centroid: the BPS ball of 15 cm fits in any rotation
     coarse_stride: int = 4
-    exact_zone: float = 0.003  # nodes closer than this to the surface are queried exactly
-    doubt: float = 0.005  # nodes beyond the zone are interpolated unless two predictions differ by this share of them
+    exact_zone: float = 0.002  # nodes closer than this to the surface are queried exactly
+    doubt: float = 0.0075  # nodes beyond the zone are interpolated unless two predictions differ by this share of them
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,16 @@ from grabnet.benchmarks.timing import Case, measure
 from grabnet.errors import UserError
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "benchmark.py"
-SETTINGS = {"suite": "hand", "output": None, "runs": 2, "batch": 2, "threads": None, "device": "cpu", "seed": 0}
+SETTINGS = {
+    "suite": "hand",
+    "output": None,
+    "runs": 2,
+    "batch": 2,
+    "threads": None,
+    "device": "cpu",
+    "seed": 0,
+    "train": [],
+}
 
 
 def test_medians_and_ratios_tell_what_was_slept():
