@@ -45,6 +45,10 @@ class RigidTrack:
         """Points (P, 3) of the thing's own frame in the world, (N, P, 3)."""
         return points @ self.rotations(frames).mT + _tensor(self.transl[frames]).unsqueeze(1)
 
+    def to_local(self, points: Tensor, frames: np.ndarray | slice = slice(None)) -> Tensor:
+        """Points (N, P, 3) of the world, frame by frame, in the thing's own frame."""
+        return (points - _tensor(self.transl[frames]).unsqueeze(1)) @ self.rotations(frames)
+
 
 @dataclass(frozen=True)
 class HandTrack:

@@ -11,7 +11,16 @@ from grabnet.benchmarks.timing import Case, measure
 from grabnet.errors import UserError
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "benchmark.py"
-SETTINGS = {"suite": "hand", "output": None, "runs": 2, "batch": 2, "threads": None, "device": "cpu", "seed": 0}
+SETTINGS = {
+    "suite": "hand",
+    "output": None,
+    "runs": 2,
+    "batch": 2,
+    "threads": None,
+    "device": "cpu",
+    "seed": 0,
+    "train": [],
+}
 
 
 def test_medians_and_ratios_tell_what_was_slept():
@@ -31,7 +40,7 @@ def test_the_first_run_does_not_count():
     assert timing.upper < 0.1
 
 
-@pytest.mark.parametrize("suite", ["hand", "bps"])
+@pytest.mark.parametrize("suite", ["hand", "bps", "contact"])
 def test_suites_write_their_figures(tmp_path, monkeypatch, suite):
     monkeypatch.setenv("GRABNET_CACHE", str(tmp_path))
     Benchmark(**(SETTINGS | {"suite": suite, "output": str(tmp_path / "bench.json")})).run()

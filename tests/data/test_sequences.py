@@ -74,6 +74,7 @@ def test_objects_turn_as_row_vectors(path):
     np.testing.assert_allclose(ours, expected, atol=1e-6)
     some = track.to_world(torch.tensor(points, dtype=torch.float32), np.array([5, 2]))
     np.testing.assert_allclose(some, expected[[5, 2]], atol=1e-6)
+    np.testing.assert_allclose(track.to_local(ours), np.broadcast_to(points, (T, 6, 3)), atol=1e-6)
 
 
 def test_hands_are_posed_by_fullpose(path):
