@@ -9,8 +9,8 @@ import torch
 import trimesh
 
 from grabnet.body.hand import HandModel
-from grabnet.data.datamodule import OBJECT_MESHES
 from grabnet.data.frames import finish_store, write_shard
+from grabnet.data.objects import OBJECT_MESHES
 from grabnet.files import replacing
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.rotations import matrix_to_six_d
@@ -41,7 +41,7 @@ def write_tiny_dataset(root: Path, frames_per_sequence: int = 24, subjects: int 
 
             values = {
                 "global_orient": noise(3, size=0.3),
-                "hand_pose": noise(2, size=0.3) @ hand.hand_components[:2],
+                "hand_pose": noise(2, size=0.3) @ hand.hands_components[:2],
                 "transl": torch.tensor([0.0, 0.03, 0.0]) + noise(3, size=0.01),
                 "object_orient": noise(3, size=0.3),
                 "frame": torch.arange(frames_per_sequence),

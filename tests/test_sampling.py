@@ -11,11 +11,11 @@ import pytest
 import trimesh
 from omegaconf import OmegaConf
 
-from grabnet.body.loading import read_npz
 from grabnet.cli import CONFIGS
 from grabnet.errors import UserError
 from grabnet.files import sha256
 from grabnet.models.weights import save_network
+from grabnet.npz import read_npz
 from grabnet.sampling import Sampling, sample
 
 SCRIPT = CONFIGS.parent / "scripts" / "sample.py"

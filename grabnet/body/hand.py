@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from grabnet.body.loading import read_model
-from grabnet.body.skinning import forward_kinematics, skin, tree_levels
+from grabnet.body.loading import HAND_SHAPES
+from grabnet.body.skinned import SkinnedModel, blended
 
 OPEN_HANDS = Path(__file__).parents[2] / "assets" / "open_hand"
 
@@ -48,38 +47,22 @@ class Hand(NamedTuple):
     joints: Tensor
 
 
-class HandModel(nn.Module):
+class HandModel(SkinnedModel):
     """A hand in MANO's schema: 16 joints, the wrist first.
 
     Args:
-        path: `.npz` file, with LEFT in its name for a left hand; `HandModel.open("right")` loads the open stand-in.
+        path: `.npz` or `.pkl` file, with LEFT in its name for a left hand; `HandModel.open("right")` loads the open
+            stand-in.
         dtype: of all buffers; inputs must match.
 
     Attributes:
         v_template (V, 3), shapedirs (V, 3, n_betas), J_regressor (16, V), weights (V, 16), faces (F, 3) int64;
-        hand_mean (45,) and hand_components (45, 45) in axis-angle, for PCA poses.
+        hands_mean (45,) and hands_components (45, 45) in axis-angle, for PCA poses.
     """
 
     def __init__(self, path: str | Path, dtype: torch.dtype = torch.float32):
-        super().__init__()
-        model = read_model(path)
-        self.is_right = bool(model["is_right"])
-        self.parents: list[int] = model["parents"].tolist()
-        self._levels = tree_levels(self.parents)
-
-        def buffer(name: str, value: np.ndarray) -> None:
-            tensor = torch.as_tensor(value)
-            self.register_buffer(name, tensor.to(dtype) if tensor.is_floating_point() else tensor.long(), False)
-
-        for name in ("v_template", "shapedirs", "J_regressor", "weights", "faces"):
-            buffer(name, model[name])
-        buffer("hand_mean", model["hands_mean"])
-        buffer("hand_components", model["hands_components"])
-        # (135, V·3): what each entry of R - I adds to the rest vertices. All zero in the open hand: skipped there.
-        posedirs = model["posedirs"]
-        self.has_pose_correctives = bool(np.any(posedirs))
-        if self.has_pose_correctives:
-            buffer("posedirs", posedirs.reshape(-1, posedirs.shape[-1]).T.copy())
+        super().__init__(path, HAND_SHAPES, "MANO", dtype)
+        self.is_right = "LEFT" not in Path(path).stem.upper()
 
     @classmethod
     def open(cls, side: str = "right", dtype: torch.dtype = torch.float32) -> HandModel:
@@ -91,17 +74,12 @@ class HandModel(nn.Module):
         n = betas.shape[-1]
         if n > self.shapedirs.shape[-1]:
             raise ValueError(f"{n} betas given, but this hand model has {self.shapedirs.shape[-1]}")
-        offset = (betas @ self.shapedirs[..., :n].reshape(-1, n).mT).unflatten(-1, (-1, 3))
-        return (self.v_template if v_template is None else v_template) + offset
+        return (self.v_template if v_template is None else v_template) + blended(self.shapedirs[..., :n], betas)
 
     def pose_from_pca(self, components: Tensor, flat_hand_mean: bool = True) -> Tensor:
         """(..., n) principal components → (..., 45) axis-angle; added to the mean pose unless `flat_hand_mean`."""
-        pose = components @ self.hand_components[: components.shape[-1]]
-        return pose if flat_hand_mean else pose + self.hand_mean
-
-    def rest_joints(self, rest: Tensor) -> Tensor:
-        """(..., V, 3) rest vertices → (..., 16, 3) joints."""
-        return self.J_regressor @ rest
+        pose = components @ self.hands_components[: components.shape[-1]]
+        return pose if flat_hand_mean else pose + self.hands_mean
 
     def moved(
         self,
@@ -132,14 +110,4 @@ class HandModel(nn.Module):
             rest: rest vertices, (V, 3) shared or (B, V, 3): `shaped(betas)` or a subject's v_template; the model's
                 own template when omitted.
         """
-        rest = self.v_template if rest is None else rest
-        rotations = parameters.rotations
-        joints = self.rest_joints(rest)
-        joints = joints if joints.dim() == 3 else joints.unsqueeze(0)
-        if self.has_pose_correctives:
-            feature = (rotations[:, 1:] - torch.eye(3, dtype=rotations.dtype, device=rotations.device)).flatten(1)
-            rest = rest + (feature @ self.posedirs).unflatten(1, (-1, 3))
-        world, position = forward_kinematics(rotations, joints, self.parents, self._levels)
-        position = position + parameters.transl.unsqueeze(1)
-        offset = position - (world @ joints.unsqueeze(-1)).squeeze(-1)
-        return Hand(skin(rest, self.weights, world, offset), position)
+        return Hand(*self.pose(parameters.rotations, parameters.transl, self.v_template if rest is None else rest))

@@ -14,12 +14,11 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 from grabnet.body.hand import HandModel
 from grabnet.data.batches import BatchAssembler, GraspBatch
 from grabnet.data.frames import Frames, FramesStore
-from grabnet.data.objects import ObjectSet
+from grabnet.data.objects import OBJECT_MESHES, ObjectSet
 from grabnet.data.targets import Targets, compute_targets
 from grabnet.errors import UserError
 
 SPLITS = ("train", "val", "test")
-OBJECT_MESHES = Path("tools/object_meshes/contact_meshes")  # GRAB's own layout
 
 
 class Preparation(Protocol):

@@ -15,6 +15,7 @@ from grabnet.geometry.atlas import SDFAtlas, SDFGrid
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.geometry.nearest import nearest_point_distance
 
+OBJECT_MESHES = Path("tools/object_meshes/contact_meshes")  # GRAB's own layout, below its root
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf")
 
 
@@ -71,8 +72,7 @@ class ObjectSet(nn.Module):
         Raises:
             UserError: no such folder, an object without a mesh, or an unreadable mesh.
         """
-        folder = existing(folder, "Object folder (objects.dir)")
-        files = {p.stem: p for p in sorted(folder.iterdir()) if p.suffix.lower() in MESH_SUFFIXES}
+        files = object_files(folder)
         if missing := [name for name in names if name not in files]:
             raise UserError(f"{folder} has no mesh for {', '.join(missing)}; it has {', '.join(files) or 'none'}.")
         return cls(names, [load_mesh(files[name]) for name in names], **options)
@@ -86,3 +86,13 @@ class ObjectSet(nn.Module):
         if self.measure == "samples":
             return nearest_point_distance(points, self.points[objects] @ rotations.mT)
         return self.atlas(self.to_object(points, objects, rotations), objects)
+
+
+def object_files(folder: str | Path) -> dict[str, Path]:
+    """Mesh file of each object in a folder, by name.
+
+    Raises:
+        UserError: no such folder.
+    """
+    folder = existing(folder, "Object folder (objects.dir)")
+    return {p.stem: p for p in sorted(folder.iterdir()) if p.suffix.lower() in MESH_SUFFIXES}

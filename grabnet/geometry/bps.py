@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
+from grabnet.errors import UserError
 from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.queries import MeshQuery
+from grabnet.npz import read_npz
 
 FEATURES = ("dists", "deltas", "closest")
 
@@ -33,6 +37,22 @@ class BPS(nn.Module):
         length = torch.rand(n_points, 1, generator=generator, dtype=torch.float64) ** (1 / 3)
         basis = radius * length * nn.functional.normalize(direction, dim=-1)
         self.register_buffer("basis", basis[_z_order(basis)].float())
+
+    @classmethod
+    def load(cls, path: str | Path) -> BPS:
+        """The published points: `basis` (1, P, 3) or (P, 3) of a `bps.npz`, metres.
+
+        Raises:
+            UserError: unreadable, or no such array of finite numbers.
+        """
+        basis = np.asarray(read_npz(path).get("basis"))
+        numeric = basis.dtype.kind in "fiu" and np.isfinite(basis).all()
+        if not numeric or basis.ndim not in (2, 3) or basis.shape[-1] != 3:
+            raise UserError(f"{path} holds no basis of points (P, 3).")
+        points = torch.as_tensor(basis, dtype=torch.float32).reshape(-1, 3)
+        bps = cls(len(points))
+        bps.basis.copy_(points)
+        return bps
 
     def encode(
         self, points: Tensor, feature_type: Sequence[str] = ("dists",), chunk: int = 1 << 25

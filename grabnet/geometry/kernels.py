@@ -31,6 +31,65 @@ def closest_point(
         face[i] = query.face
 
 
+@wp.func
+def closest_on_segment(p: wp.vec3, a: wp.vec3, b: wp.vec3) -> wp.vec3:
+    ab = b - a
+    return a + ab * wp.clamp(wp.dot(p - a, ab) / wp.max(wp.length_sq(ab), 1.0e-20), 0.0, 1.0)
+
+
+@wp.func
+def closest_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
+    """Nearest point of a triangle: across the edge that p lies beyond, or else on the face."""
+    ab, ac, bc = b - a, c - a, c - b
+    normal = wp.cross(ab, ac)
+    inside = wp.bool(wp.length_sq(normal) > 0.0)
+    inside = inside and wp.dot(wp.cross(normal, ab), p - a) >= 0.0
+    inside = inside and wp.dot(wp.cross(normal, bc), p - b) >= 0.0
+    inside = inside and wp.dot(wp.cross(ac, normal), p - a) >= 0.0
+    if inside:
+        return p - normal * (wp.dot(normal, p - a) / wp.length_sq(normal))
+    best = closest_on_segment(p, a, b)
+    for k in range(2):
+        other = closest_on_segment(p, c, a)
+        if k == 1:
+            other = closest_on_segment(p, b, c)
+        if wp.length_sq(other - p) < wp.length_sq(best - p):
+            best = other
+    return best
+
+
+@wp.kernel
+def closest_of_faces(
+    mesh: wp.uint64,
+    max_distance: float,
+    chosen: wp.array(dtype=wp.bool),
+    points: wp.array(dtype=wp.vec3),
+    distance: wp.array(dtype=float),
+    position: wp.array(dtype=wp.vec3),
+    face: wp.array(dtype=int),
+):
+    """As `closest_point`, among the chosen faces only."""
+    i = wp.tid()
+    p = points[i]
+    reach = wp.vec3(max_distance)
+    best = float(max_distance)
+    query = wp.mesh_query_aabb(mesh, p - reach, p + reach)
+    j = wp.int32(0)
+    while wp.mesh_query_aabb_next(query, j):
+        if chosen[j]:
+            q = closest_on_triangle(
+                p,
+                wp.mesh_get_point(mesh, 3 * j),
+                wp.mesh_get_point(mesh, 3 * j + 1),
+                wp.mesh_get_point(mesh, 3 * j + 2),
+            )
+            if wp.length(q - p) <= best:
+                best = wp.length(q - p)
+                distance[i] = best
+                position[i] = q
+                face[i] = j
+
+
 @wp.kernel
 def signed_distance(
     mesh: wp.uint64,

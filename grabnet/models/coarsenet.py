@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import torch
 from torch import Tensor, nn
 from torch.distributions import Normal
@@ -11,6 +13,7 @@ from grabnet.body.hand import HandParameters
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.rotations import matrix_to_six_d, six_d_to_matrix
 from grabnet.models.layers import ResidualBlock, concatenate
+from grabnet.models.published import COARSENET, PublishedWeights
 
 
 class CoarseNet(nn.Module):
@@ -53,6 +56,29 @@ class CoarseNet(nn.Module):
             _amplify(block, slice(n_bps, n_encoder), (n_bps / 12) ** 0.5)
         for block in (self.decoder1, self.decoder2):
             _amplify(block, slice(0, latent_dim), (n_bps / latent_dim) ** 0.5)
+
+    @classmethod
+    def from_published(cls, path: str | Path, basis: str | Path | None = None) -> CoarseNet:
+        """The published network, in eval mode.
+
+        Args:
+            path: of `coarsenet.pt`.
+            basis: of the published `bps.npz`, whose points the weights hold for. Without it the network's own `bps` is
+                another one, and only features that were made with the published points may be given to it.
+
+        Raises:
+            UserError: unreadable, or names or shapes that are not the published network's.
+        """
+        weights = PublishedWeights(path, COARSENET)
+        n_bps = weights.size("dec_bn1.weight", 0, 4096)
+        network = cls(
+            BPS(n_bps) if basis is None else BPS.load(basis),
+            latent_dim=weights.size("enc_mu.weight", 0, 16),
+            width=weights.size("enc_mu.weight", 1, 512),
+            n_hidden=weights.size("enc_rb1.fc1.weight", 0, 256),
+        )
+        weights.fill(network)
+        return network.eval()
 
     def encode(self, bps: Tensor, global_orient: Tensor, transl: Tensor) -> Normal:
         """Posterior over latent codes (B, latent_dim), given bps (B, P) in metres and the true wrist."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
@@ -10,6 +11,7 @@ from torch import Tensor, nn
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.geometry.rotations import matrix_to_six_d, six_d_to_matrix
 from grabnet.models.layers import ResidualBlock, concatenate
+from grabnet.models.published import REFINENET, PublishedWeights
 
 
 class RefineNet(nn.Module):
@@ -43,6 +45,26 @@ class RefineNet(nn.Module):
             for layer in (self.pose, self.transl):
                 layer.weight.mul_(0.1)
                 layer.bias.zero_()
+
+    @classmethod
+    def from_published(cls, path: str | Path, hand: HandModel) -> RefineNet:
+        """The published network, in eval mode.
+
+        Args:
+            path: of `refinenet.pt`.
+            hand: MANO's right hand, which the weights hold for; the copy in the file is not used.
+
+        Raises:
+            UserError: unreadable, or names or shapes that are not the published network's for this hand.
+        """
+        weights = PublishedWeights(path, REFINENET)
+        network = cls(
+            hand,
+            width=weights.size("out_p.weight", 1, 512),
+            n_hidden=weights.size("rb1.fc1.weight", 0, 256),
+        )
+        weights.fill(network)
+        return network.eval()
 
     def correction(self, distances: Tensor, pose: Tensor, transl: Tensor) -> tuple[Tensor, Tensor]:
         """Changes of pose (B, 96) and transl (B, 3) for hand→object distances (B, V) in metres."""

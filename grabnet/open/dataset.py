@@ -10,8 +10,8 @@ import torch
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
-from grabnet.data.datamodule import OBJECT_MESHES
 from grabnet.data.frames import finish_store, write_shard
+from grabnet.data.objects import OBJECT_MESHES
 from grabnet.files import sha256
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.rotations import about_z, axis_angle_to_matrix, matrix_to_axis_angle

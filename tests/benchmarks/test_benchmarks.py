@@ -40,7 +40,7 @@ def test_the_first_run_does_not_count():
     assert timing.upper < 0.1
 
 
-@pytest.mark.parametrize("suite", ["hand", "bps"])
+@pytest.mark.parametrize("suite", ["hand", "bps", "contact"])
 def test_suites_write_their_figures(tmp_path, monkeypatch, suite):
     monkeypatch.setenv("GRABNET_CACHE", str(tmp_path))
     Benchmark(**(SETTINGS | {"suite": suite, "output": str(tmp_path / "bench.json")})).run()

@@ -1,4 +1,4 @@
-"""Model files that are not what they should be: one sentence each, and nothing executed."""
+"""Model files that are not what they should be: one sentence each, and nothing run."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ import pickle
 
 import numpy as np
 import pytest
+import scipy.sparse
 
 from grabnet.body.hand import HandModel
-from grabnet.body.loading import check_shapes, read_model, read_npz
+from grabnet.body.loading import HAND_SHAPES, check_shapes, read_model
 from grabnet.errors import UserError
 
 
@@ -25,7 +26,7 @@ def one_sentence(error, *parts):
 
 
 def test_reads_every_array_as_stored(tmp_path, random_mano):
-    model = read_model(save(tmp_path, random_mano))
+    model = read_model(save(tmp_path, random_mano), HAND_SHAPES, "MANO")
     for name in ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "hands_mean", "hands_components"):
         np.testing.assert_array_equal(model[name], random_mano[name].astype(np.float32))
     np.testing.assert_array_equal(model["faces"], random_mano["f"])
@@ -34,7 +35,33 @@ def test_reads_every_array_as_stored(tmp_path, random_mano):
 
 @pytest.mark.parametrize(("name", "right"), [("MANO_RIGHT.npz", True), ("MANO_LEFT.npz", False)])
 def test_side_is_read_off_the_name(tmp_path, random_mano, name, right):
-    assert bool(read_model(save(tmp_path, random_mano, name))["is_right"]) is right
+    assert HandModel(save(tmp_path, random_mano, name)).is_right is right
+
+
+def test_a_pickled_model_is_the_same_model(tmp_path, random_mano):
+    """As published: a pickle, with the joint regressor as a sparse matrix."""
+    path = tmp_path / "MANO_RIGHT.pkl"
+    pickled = random_mano | {"J_regressor": scipy.sparse.csc_matrix(random_mano["J_regressor"]), "bs_type": "lrotmin"}
+    path.write_bytes(pickle.dumps(pickled, 2))
+    expected = read_model(save(tmp_path, random_mano), HAND_SHAPES, "MANO")
+    for name, value in read_model(path, HAND_SHAPES, "MANO").items():
+        np.testing.assert_array_equal(value, expected[name])
+
+
+def test_a_pickle_of_something_else_is_no_model(tmp_path):
+    path = tmp_path / "MANO_RIGHT.pkl"
+    path.write_bytes(pickle.dumps([1, 2]))
+    with pytest.raises(UserError) as error:
+        HandModel(path)
+    one_sentence(error, str(path), "list")
+
+
+def test_parents_behind_their_children_are_refused(tmp_path, random_mano):
+    tree = random_mano["kintree_table"].copy()
+    tree[0, 3] = 7
+    with pytest.raises(UserError) as error:
+        HandModel(save(tmp_path, random_mano | {"kintree_table": tree}))
+    one_sentence(error, "kintree_table")
 
 
 @pytest.mark.parametrize("missing", [["posedirs"], ["f", "weights"]])
@@ -110,7 +137,7 @@ def test_pickles_are_refused_and_never_run(tmp_path, random_mano, kind, monkeypa
         path.write_bytes(pickle.dumps(random_mano | {"bs_style": Bomb()}))
     with pytest.raises(UserError) as error:
         HandModel(path)
-    one_sentence(error, str(path), "pickled")
+    one_sentence(error, str(path), "pickled posix.mkdir")
     assert not crater.exists()
 
 
@@ -154,7 +181,7 @@ def test_a_missing_file_lists_what_lies_beside_it(tmp_path, random_mano):
 
 def test_a_folder_is_no_model(tmp_path):
     with pytest.raises(UserError) as error:
-        read_npz(tmp_path)
+        HandModel(tmp_path)
     one_sentence(error, str(tmp_path))
 
 

@@ -8,7 +8,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from grabnet.body.hand import HandParameters
-from grabnet.data.datamodule import OBJECT_MESHES, GraspDataModule, IndexBatches
+from grabnet.data.datamodule import GraspDataModule, IndexBatches
+from grabnet.data.objects import OBJECT_MESHES
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.queries import MeshQuery

@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from grabnet.body.anatomy import FINGERS, JOINTS, Anatomy, boundary_loop
 from grabnet.body.hand import OPEN_HANDS, HandModel, HandParameters
-from grabnet.body.loading import read_npz
 from grabnet.errors import UserError
 from grabnet.files import sha256
 from grabnet.geometry.rotations import axis_angle_to_matrix
+from grabnet.npz import read_npz
 from grabnet.open.hand.build import mirrored, right_hand
 from grabnet.open.hand.decimate import decimate
 from grabnet.open.hand.flatten import FlatHands, flatten
@@ -138,7 +138,7 @@ def test_zero_pose_is_flat(hand, anatomy):
 
 def test_mean_pose_is_relaxed(hand, anatomy):
     """Somewhat flexed: fingertips nearer the palm than flat, far from a fist."""
-    pose = axis_angle_to_matrix(hand.hand_mean.view(1, 15, 3))
+    pose = axis_angle_to_matrix(hand.hands_mean.view(1, 15, 3))
     vertices = hand(HandParameters(torch.eye(3)[None], pose, torch.zeros(1, 3))).vertices[0]
     drop = hand.v_template[anatomy.tips[1:], 1] - vertices[anatomy.tips[1:], 1]
     assert (drop > 0.02).all() and (drop < 0.08).all()

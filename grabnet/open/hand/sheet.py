@@ -45,7 +45,7 @@ def hand_sheet(hand: HandModel, size: tuple[int, int] = (152, 152), n_betas: int
         return anatomy.hand_pose(torch.tensor([[angles.get(name, 0.0) for name in anatomy.angle_names]]))
 
     flat = pose({})
-    relaxed = axis_angle_to_matrix(hand.hand_mean.view(1, 15, 3))
+    relaxed = axis_angle_to_matrix(hand.hands_mean.view(1, 15, 3))
     for caption, hand_pose in (("flat", flat), ("relaxed", relaxed), ("fist", pose(_POSES["fist"]))):
         for view in (_BACK, _PALM, _SIDE, _ACROSS):
             draw([posed(hand_pose)], view, caption)

@@ -1,0 +1,233 @@
+"""Contact between body and object from their surfaces (paper 3.3, S.7; spec 4).
+
+Tracked bodies reach into objects and stop short of them by millimetres. Where surfaces cut through each other, in
+rings, the object's vertices within the ring are touched (over-shooting); elsewhere what is near enough is
+(under-shooting).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from grabnet.geometry import kernels
+from grabnet.geometry.intersections import Crossings, MovingMesh, find_crossings
+from grabnet.geometry.mesh import Mesh
+from grabnet.geometry.warping import launch
+
+
+@dataclass(frozen=True)
+class Contact:
+    """What touches what, in one frame.
+
+    Attributes:
+        object: (V of the object,) uint8, the part of the body that touches each vertex, 0 for none; nonzero is the
+            binary label.
+        body: (V of the body,) uint8, each touching vertex's own part, 0 for the others.
+        face, barycentric: (V of the object,) int32 and (V of the object, 3), the nearest point of the body to each
+            touched vertex as a body face and weights of its corners: the dense correspondence; -1 and 0 elsewhere.
+    """
+
+    object: np.ndarray
+    body: np.ndarray
+    face: np.ndarray
+    barycentric: np.ndarray
+
+
+class ContactAnnotator:
+    """Finds contact of a moving body with one object.
+
+    Args:
+        thing: the object. rest: (V, 3) a pose of the body, metres. faces: (F, 3) of the body, facing outwards.
+        parts: (V,) label of each body vertex, 1 … 55 in GRAB; see `vertex_parts`.
+        distance: ε, metres, within which surfaces that don't cut each other touch.
+    """
+
+    def __init__(self, thing: Mesh, rest: np.ndarray, faces: np.ndarray, parts: np.ndarray, distance: float = 0.0045):
+        self.body, self.thing = MovingMesh(rest, faces), MovingMesh(thing.vertices, thing.faces)
+        self.parts, self.distance = np.asarray(parts, np.uint8), distance
+        self.face_parts = np.sort(self.parts[self.body.faces], 1)[:, 1]  # two corners' part, if two agree
+        self._around = _Neighbours(len(thing.vertices), self.thing.edges)
+
+    def __call__(self, vertices: np.ndarray) -> Contact:
+        """Contact of the body at `vertices` (V, 3), metres, in the object's frame."""
+        self.body.move(vertices)
+        crossings = find_crossings(self.body, self.thing)
+        touched = self._enclosed(crossings, self._counting_rings(crossings))
+        cutting = np.unique(self.face_parts[crossings.body_faces])
+
+        n = len(self.thing.vertices)
+        face, position = np.full(n, -1, np.int32), np.zeros((n, 3), np.float32)
+        body = np.zeros(len(self.parts), bool)
+        if touched.any():
+            face[touched], position[touched] = _closest(self.body, self.thing.vertices[touched])
+            near = self._near_object().nonzero()[0]
+            reach, _ = cKDTree(self.thing.vertices[touched]).query(
+                self.body.vertices[near], distance_upper_bound=self.distance
+            )
+            body[near[reach <= self.distance]] = True
+
+        hovering = self._near_body() & ~touched
+        free = ~np.isin(self.face_parts, cutting)
+        face[hovering], position[hovering] = _closest(self.body, self.thing.vertices[hovering], self.distance, free)
+        near = self._near_object() & ~np.isin(self.parts, cutting)
+        body[near] |= _closest(self.thing, self.body.vertices[near], self.distance)[0] >= 0
+
+        found = face >= 0
+        weights = np.zeros((n, 3), np.float32)
+        weights[found] = _barycentric(self.body.vertices[self.body.faces[face[found]]], position[found])
+        corner = self.body.faces[face[found], weights[found].argmax(1)]
+        labels = np.zeros(n, np.uint8)
+        labels[found] = self.parts[corner]
+        return Contact(labels, np.where(body, self.parts, 0).astype(np.uint8), face, weights)
+
+    def _near_object(self) -> np.ndarray:
+        """(V,) body vertices within ε of the object's bounding box."""
+        return self._within(self.body.vertices, *self.thing.bounds)
+
+    def _near_body(self) -> np.ndarray:
+        """Object vertices within ε of the bounding box of those body faces that come near the object."""
+        low, high = self.thing.bounds
+        near = self.body.faces[self.body.faces_near(low - self.distance, high + self.distance)]
+        if not len(near):
+            return np.zeros(len(self.thing.vertices), bool)
+        corners = self.body.vertices[near.ravel()]
+        return self._within(self.thing.vertices, corners.min(0), corners.max(0))
+
+    def _within(self, points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """(N,) points within ε of a box."""
+        within = np.ones(len(points), bool)
+        for axis in range(3):
+            within &= points[:, axis] >= low[axis] - self.distance
+            within &= points[:, axis] <= high[axis] + self.distance
+        return within
+
+    def _counting_rings(self, crossings: Crossings) -> np.ndarray:
+        """(R,) rings that mean contact: of those of one part, or within each other, the one that cuts off most.
+
+        It is the first that the part went through: the outer wall of a cup, not the inner.
+        """
+        n = crossings.n_rings
+        votes = np.zeros((n, 256), int)
+        np.add.at(votes, (crossings.body_face_ring, self.face_parts[crossings.body_faces]), 1)
+        part = votes.argmax(1)
+        counting = np.ones(n, bool)
+        if n < 2:
+            return counting
+        size, beyond = self._cut_off(crossings)
+        counting[:] = False
+        for ring in np.argsort(-size, kind="stable"):
+            larger = counting.nonzero()[0]
+            within = beyond[ring].any() & ~(beyond[ring] & ~beyond[larger]).any(1)
+            counting[ring] = not (within | (part[larger] == part[ring])).any()
+        return counting
+
+    def _cut_off(self, crossings: Crossings) -> tuple[np.ndarray, np.ndarray]:
+        """What each ring by itself cuts off from the bulk of the body.
+
+        Returns:
+            size (R,): its vertices, and the share of the cut edges that belongs to it, which is below one and tells
+            rings apart between which no vertex lies. beyond (R, regions): which regions it consists of.
+        """
+        own = ~crossings.of_object
+        edge, ring, along = crossings.edge[own], crossings.ring[own], crossings.along[own]
+        uncut = np.ones(len(self.body.edges), bool)
+        uncut[edge] = False
+        n_regions, region = _components(len(self.parts), self.body.edges[uncut])
+        n_vertices = np.bincount(region, minlength=n_regions)
+        ends = region[self.body.edges[edge]]
+        # The bulk of each connected surface is its largest region.
+        _, surface = _components(n_regions, ends)
+        order = np.argsort(n_vertices, kind="stable")
+        bulk = np.zeros(surface.max() + 1, int)
+        bulk[surface[order]] = order
+        size, beyond = np.zeros(crossings.n_rings), np.zeros((crossings.n_rings, n_regions), bool)
+        for k in range(crossings.n_rings):
+            of_ring = np.isin(edge, edge[ring == k])
+            _, side = _components(n_regions, ends[~of_ring])
+            beyond[k] = side != side[bulk[surface]]
+            lower, upper = beyond[k][ends[ring == k]].T
+            share = np.where(lower, along[ring == k], 1 - along[ring == k])[lower != upper]
+            size[k] = n_vertices[beyond[k]].sum() + (share.mean() if len(share) else 0)
+        return size, beyond
+
+    def _enclosed(self, crossings: Crossings, counting: np.ndarray) -> np.ndarray:
+        """(V of the object,) vertices inside the body within the counting rings: found from the rings inwards."""
+        own = crossings.of_object.nonzero()[0]
+        own = own[np.lexsort((crossings.along[own], crossings.edge[own]))]
+        edge = crossings.edge[own]
+        first, last = np.ones(len(own), bool), np.ones(len(own), bool)
+        first[1:] = last[:-1] = edge[1:] != edge[:-1]
+        # An edge starts inside if it first leaves the body, and ends inside if it last enters it.
+        seeds = []
+        for end, at, inside in ((0, own[first], False), (1, own[last], True)):
+            at = at[counting[crossings.ring[at]] & (crossings.entering[at] == inside)]
+            seeds.append(self.thing.edges[crossings.edge[at], end])
+        return self._around.flood(np.concatenate(seeds), edge)
+
+
+def vertex_parts(weights: np.ndarray) -> np.ndarray:
+    """(V, J) skinning weights of a whole body in SMPL-X's schema → (V,) uint8 contact labels, joint + 1 (spec 1)."""
+    return (np.asarray(weights).argmax(1) + 1).astype(np.uint8)
+
+
+class _Neighbours:
+    """Vertices joined by edges, for walking over a surface."""
+
+    def __init__(self, n: int, edges: np.ndarray):
+        ends = np.concatenate([edges, edges[:, ::-1]])
+        order = np.argsort(ends[:, 0], kind="stable")
+        self.start = np.searchsorted(ends[order, 0], np.arange(n + 1))
+        self.other = ends[order, 1]
+        self.edge = np.tile(np.arange(len(edges)), 2)[order]
+        self.n_edges = len(edges)
+
+    def flood(self, seeds: np.ndarray, barriers: np.ndarray) -> np.ndarray:
+        """(V,) vertices that are reached from `seeds` without going along the edges `barriers`."""
+        reached = np.zeros(len(self.start) - 1, bool)
+        closed = np.zeros(self.n_edges, bool)
+        closed[barriers] = True
+        front = np.unique(seeds)
+        while len(front):
+            reached[front] = True
+            counts = self.start[front + 1] - self.start[front]
+            offset = np.arange(counts.sum()) - np.repeat(counts.cumsum() - counts, counts)
+            at = np.repeat(self.start[front], counts) + offset
+            others = self.other[at[~closed[self.edge[at]]]]
+            front = np.unique(others[~reached[others]])
+        return reached
+
+
+def _components(n: int, edges: np.ndarray) -> tuple[int, np.ndarray]:
+    graph = coo_matrix((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), (n, n))
+    return connected_components(graph, directed=False)
+
+
+def _closest(
+    surface: MovingMesh, points: np.ndarray, max_distance: float = 1e3, faces: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Face (N,), -1 beyond `max_distance`, and position (N, 3) nearest to each point, among the chosen `faces`."""
+    points = torch.from_numpy(np.ascontiguousarray(points))
+    face = torch.full((len(points),), -1, dtype=torch.int32)
+    position, distance = torch.zeros_like(points), torch.zeros(len(points))
+    items = [points, distance, position, face]
+    if len(points) and faces is None:
+        launch(kernels.closest_point, items, [surface.mesh.id, max_distance])
+    elif len(points):
+        launch(kernels.closest_of_faces, items, [surface.mesh.id, max_distance, torch.from_numpy(faces)])
+    return face.numpy(), position.numpy()
+
+
+def _barycentric(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(N, 3) weights of the corners (N, 3, 3) that make up points (N, 3) on the triangles."""
+    a, b, c = np.moveaxis(triangles.astype(np.float64), 1, 0)
+    u, v, w = b - a, c - a, points - a
+    uu, uv, vv, wu, wv = ((x * y).sum(1) for x, y in ((u, u), (u, v), (v, v), (w, u), (w, v)))
+    scale = np.maximum(uu * vv - uv * uv, 1e-30)
+    second, third = (vv * wu - uv * wv) / scale, (uu * wv - uv * wu) / scale
+    return np.stack([1 - second - third, second, third], 1).astype(np.float32)

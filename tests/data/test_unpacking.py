@@ -1,0 +1,139 @@
+"""GRAB's zip files: to the right folders, resumable, and nothing of a hostile one."""
+
+from __future__ import annotations
+
+import stat
+import subprocess
+import sys
+import zipfile
+
+import pytest
+
+from grabnet.cli import CONFIGS
+from grabnet.data.unpacking import unpack, unpack_archive
+from grabnet.errors import UserError
+
+SCRIPT = CONFIGS.parent / "scripts" / "unpack_grab.py"
+
+
+def zipped(path, files, mode=zipfile.ZIP_DEFLATED):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with zipfile.ZipFile(path, "w", mode) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return path
+
+
+def tree(root):
+    return {str(p.relative_to(root)): p.read_bytes() for p in root.rglob("*") if p.is_file()}
+
+
+@pytest.fixture
+def downloads(tmp_path):
+    folder = tmp_path / "downloads"
+    zipped(folder / "grab__s1.zip", {"mug_pass_1.npz": b"one", "cup_lift.npz": b"two" * 1000})
+    zipped(folder / "tools__object_meshes__contact_meshes.zip", {"mug.ply": b"ply", "more/cup.ply": b"ply2"})
+    return folder
+
+
+def test_archives_go_where_their_names_say(downloads, tmp_path):
+    assert unpack(downloads, tmp_path / "GRAB") == []
+    assert tree(tmp_path / "GRAB") == {
+        "grab/s1/mug_pass_1.npz": b"one",
+        "grab/s1/cup_lift.npz": b"two" * 1000,
+        "tools/object_meshes/contact_meshes/mug.ply": b"ply",
+        "tools/object_meshes/contact_meshes/more/cup.ply": b"ply2",
+    }
+
+
+def test_a_second_run_writes_only_what_is_missing(downloads, tmp_path):
+    root = tmp_path / "GRAB"
+    unpack(downloads, root)
+    before = tree(root)
+    kept = root / "grab/s1/mug_pass_1.npz"
+    stamp = kept.stat().st_mtime_ns
+    (root / "tools/object_meshes/contact_meshes/mug.ply").unlink()
+    (root / "grab/s1/cup_lift.npz").write_bytes(b"cut short")
+    unpack(downloads, root)
+    assert tree(root) == before
+    assert kept.stat().st_mtime_ns == stamp
+
+
+@pytest.mark.parametrize(
+    "name", ["../evil", "a/../../evil", "/tmp/evil", "C:/evil", "..\\evil", "a\\..\\..\\evil", "//host/evil"]
+)
+def test_paths_that_lead_out_are_refused(tmp_path, name):
+    archive = zipped(tmp_path / "grab__s1.zip", {"fine.npz": b"fine", name: b"evil"})
+    with pytest.raises(UserError, match="leads out of"):
+        unpack_archive(archive, tmp_path / "GRAB")
+    assert not (tmp_path / "GRAB").exists(), "not even the files before it"
+
+
+@pytest.mark.parametrize("kind", [stat.S_IFLNK, stat.S_IFIFO, stat.S_IFCHR])
+def test_links_and_devices_are_refused(tmp_path, kind):
+    member = zipfile.ZipInfo("link")
+    member.create_system, member.external_attr = 3, (kind | 0o777) << 16
+    archive = zipped(tmp_path / "grab__s1.zip", {member: b"/etc/passwd"})
+    with pytest.raises(UserError, match="is a link or device"):
+        unpack_archive(archive, tmp_path / "GRAB")
+    assert not (tmp_path / "GRAB").exists()
+
+
+def test_links_that_lie_there_are_not_followed(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "GRAB").mkdir()
+    (tmp_path / "GRAB/grab").symlink_to(tmp_path / "elsewhere")
+    archive = zipped(tmp_path / "grab__s1.zip", {"a.npz": b"a"})
+    with pytest.raises(UserError, match="through a link"):
+        unpack_archive(archive, tmp_path / "GRAB")
+    assert not list((tmp_path / "elsewhere").iterdir())
+
+
+def test_bombs_are_refused_before_they_unpack(tmp_path):
+    archive = zipped(tmp_path / "grab__s1.zip", {f"{k}.npz": bytes(10**6) for k in range(5)})
+    assert archive.stat().st_size < 10**5
+    with pytest.raises(UserError, match="unpacks to 5,000,000 bytes; at most 4,000,000"):
+        unpack_archive(archive, tmp_path / "GRAB", max_bytes=4 * 10**6)
+    assert not (tmp_path / "GRAB").exists()
+
+
+def test_a_size_that_lies_does_not_get_more_written(tmp_path):
+    """Declared as ten bytes, packed as a million."""
+    archive = zipped(tmp_path / "grab__s1.zip", {"a.npz": bytes(10**6)}, zipfile.ZIP_STORED)
+    data = bytearray(archive.read_bytes())
+    size = (10**6).to_bytes(4, "little")
+    at = data.rindex(size)  # of the directory at the end: sizes packed and unpacked
+    assert data[at - 4 : at] == size
+    data[at : at + 4] = (10).to_bytes(4, "little")
+    archive.write_bytes(data)
+    with pytest.raises(UserError, match="no whole zip file"):
+        unpack_archive(archive, tmp_path / "GRAB", max_bytes=100)
+    assert not tree(tmp_path / "GRAB")
+
+
+@pytest.mark.parametrize("name", ["__.zip", "grab__...zip", "a__ __b.zip", "....zip"])
+def test_names_without_a_folder_are_refused(tmp_path, name):
+    with pytest.raises(UserError, match="has a name that holds no folder"):
+        unpack_archive(zipped(tmp_path / name, {"a": b"a"}), tmp_path / "GRAB")
+
+
+def test_one_bad_archive_does_not_stop_the_others(downloads, tmp_path):
+    whole = downloads / "grab__s1.zip"
+    (downloads / "grab__s2.zip").write_bytes(whole.read_bytes()[:-20])
+    damaged = bytearray(whole.read_bytes())
+    content = damaged.index(b"cup_lift.npz") + len("cup_lift.npz")
+    damaged[content : content + 4] = b"oops"
+    (downloads / "grab__s3.zip").write_bytes(damaged)
+    done = subprocess.run(
+        [sys.executable, SCRIPT, downloads, tmp_path / "GRAB"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    errors = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
+    assert len(errors) == 2 and "grab__s2.zip" in errors[0] and "grab__s3.zip" in errors[1]
+    assert {"grab/s1/cup_lift.npz", "tools/object_meshes/contact_meshes/mug.ply"} <= tree(tmp_path / "GRAB").keys()
+
+
+def test_no_archives_are_told(tmp_path):
+    done = subprocess.run([sys.executable, SCRIPT, tmp_path, tmp_path / "GRAB"], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr == f"error: {tmp_path} holds no zip file: download GRAB into it first.\n"

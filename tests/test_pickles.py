@@ -1,0 +1,283 @@
+"""Pickles from elsewhere: plain data come back as pickled, and nothing that one names is ever run."""
+
+from __future__ import annotations
+
+import io
+import os
+import pickle
+import sys
+import types
+
+import numpy as np
+import pytest
+import scipy.sparse
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from grabnet import pickles
+from grabnet.errors import UserError
+from grabnet.pickles import decode_pickle, read_pickle
+
+PLAIN = {
+    "text": "mäuse",
+    "bytes": b"\x00\xff",
+    "numbers": [1, -(2**70), 1.5, True, None],
+    "empty": b"",
+    "nested": ({"a": {1, 2}}, frozenset({3}), (), [[]]),
+    4: (5, 6),
+}
+ARRAYS = {
+    "float": np.linspace(0, 1, 12).reshape(3, 4),
+    "fortran": np.asfortranarray(np.arange(6, dtype=np.int16).reshape(2, 3)),
+    "big endian": np.arange(5, dtype=">f4"),
+    "bool": np.array([True, False]),
+    "text": np.array(["mug", "wineglass"]),
+    "bytes": np.array([b"ab", b"c"]),
+    "complex": np.array([1 + 2j]),
+    "empty": np.zeros((0, 3), np.float32),
+    "single": np.array(3.0),
+    "scalar": np.float32(1.25),
+    "text scalar": np.str_("s4"),
+}
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+def test_plain_values_come_back(protocol):
+    assert decode_pickle(pickle.dumps(PLAIN, protocol), "file") == PLAIN
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+@pytest.mark.parametrize("name", ARRAYS)
+def test_arrays_come_back(name, protocol):
+    array = ARRAYS[name]
+    decoded = decode_pickle(pickle.dumps({"x": array}, protocol), "file")["x"]
+    assert type(decoded) is type(array)
+    assert decoded.dtype == array.dtype.newbyteorder("=")
+    np.testing.assert_array_equal(decoded, array)
+
+
+def test_arrays_of_objects_are_decoded_inside():
+    array = np.empty((1, 2), object)
+    array[0, 0], array[0, 1] = {"transl": np.ones((4, 3))}, "mug"
+    decoded = decode_pickle(pickle.dumps(array), "file")
+    assert decoded.shape == (1, 2) and decoded[0, 1] == "mug"
+    np.testing.assert_array_equal(decoded[0, 0]["transl"], np.ones((4, 3)))
+
+
+def test_an_array_as_python_2_wrote_it():
+    values = np.array([1.5, -2.0, 1e300])
+    data = values.astype("<f8").tobytes()
+    written = (
+        b"\x80\x02cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\x00\x85U\x01b\x87R"
+        b"(K\x01K\x03\x85cnumpy\ndtype\nU\x02f8K\x00K\x01\x87R(K\x03U\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb"
+        b"\x89T" + len(data).to_bytes(4, "little") + data + b"tb."
+    )
+    np.testing.assert_array_equal(decode_pickle(written, "file"), values)
+
+
+@pytest.fixture
+def chumpy(monkeypatch):
+    """Classes of the names that chumpy's have, with its attributes, for writing; they are gone before reading."""
+    made = {}
+    for module, name in (("chumpy.ch", "Ch"), ("chumpy.reordering", "Select"), ("chumpy.reordering", "Reshape")):
+        made[name] = type(name, (), {"__module__": module, "__init__": lambda self, **kw: self.__dict__.update(kw)})
+        monkeypatch.setitem(sys.modules, "chumpy", types.ModuleType("chumpy"))
+        monkeypatch.setitem(sys.modules, module, sys.modules.get(module) or types.ModuleType(module))
+        setattr(sys.modules[module], name, made[name])
+
+    def write(value, protocol):
+        data = pickle.dumps(value, protocol)
+        for module in ("chumpy", "chumpy.ch", "chumpy.reordering"):
+            monkeypatch.delitem(sys.modules, module)
+        return data
+
+    return types.SimpleNamespace(write=write, **made)
+
+
+@pytest.mark.parametrize("protocol", [0, 1, 2, 4])
+def test_chumpy_arrays_become_plain_ones(chumpy, protocol):
+    x = np.random.default_rng(0).normal(size=(5, 3, 10))
+    chosen = np.arange(5 * 3 * 4)[::-1].copy()
+    whole = chumpy.Ch(x=x, _dirty_vars=set(), _itr=None)
+    value = {
+        "shapedirs": whole,
+        "some": chumpy.Select(a=whole, idxs=chosen, preferred_shape=(5, 3, 4)),
+        "flat": chumpy.Reshape(a=chumpy.Select(a=whole, idxs=chosen), newshape=(-1, 6)),
+    }
+    decoded = decode_pickle(chumpy.write(value, protocol), "file")
+    assert "chumpy" not in sys.modules
+    np.testing.assert_array_equal(decoded["shapedirs"], x)
+    np.testing.assert_array_equal(decoded["some"], x.ravel()[chosen].reshape(5, 3, 4))
+    np.testing.assert_array_equal(decoded["flat"], x.ravel()[chosen].reshape(-1, 6))
+
+
+@pytest.mark.parametrize("protocol", [0, 2, 5])
+@pytest.mark.parametrize("kind", ["csc", "csr"])
+def test_sparse_matrices_become_dense(kind, protocol):
+    matrix = scipy.sparse.random(16, 50, 0.1, kind, random_state=0)
+    written = pickle.dumps(matrix, protocol)
+    # The module had another name when the published files were written.
+    older = pickle.dumps(matrix, 0).replace(f"scipy.sparse._{kind}".encode(), f"scipy.sparse.{kind}".encode())
+    for data in (written, older):
+        np.testing.assert_array_equal(decode_pickle(data, "file"), matrix.toarray())
+
+
+class Run:
+    def __init__(self, function, *arguments):
+        self.made = function, arguments
+
+    def __reduce__(self):
+        return self.made
+
+
+def _global(module: str, name: str) -> bytes:
+    return f"c{module}\n{name}\n".encode()
+
+
+_TOUCH = b"(S'touch crater'\ntR."
+_WRITE = "open('crater', 'w')"
+# A dtype of one object, whose forged flags claim that it holds plain bytes: numpy would take them for a pointer.
+_FORGED = (
+    _global("numpy.core.multiarray", "_reconstruct") + _global("numpy", "ndarray") + b"(I0\ntS'b'\ntR(I1\n(I1\nt"
+    + _global("numpy", "dtype") + b"(S'V8'\nI0\nI1\ntR(I3\nS'|'\nN(S'a'\nt(dS'a'\n("
+    + _global("numpy", "dtype") + b"(S'O8'\nI0\nI1\ntRI0\ntsI8\nI1\nI0\ntbI00\nS'AAAAAAAA'\ntb."
+)  # fmt: skip
+ATTACKS = {
+    "os.system": _global("os", "system") + _TOUCH,
+    "posix.system": _global("posix", "system") + _TOUCH,
+    "subprocess.Popen": _global("subprocess", "Popen") + _TOUCH,
+    "instance": b"(S'touch crater'\nios\nsystem\n.",
+    "object": b"(cos\nsystem\nS'touch crater'\no.",
+    "stack global": b"\x80\x04\x8c\x02os\x8c\x06system\x93\x8c\x0ctouch crater\x85R.",
+    "builtins.eval": pickle.dumps(Run(eval, _WRITE)),
+    "builtins.exec": pickle.dumps(Run(exec, _WRITE)),
+    "python 2's eval": _global("__builtin__", "eval") + f'(S"{_WRITE}"\ntR.'.encode(),
+    "builtins.getattr": pickle.dumps(Run(getattr, Run(__import__, "os"), "mkdir")),
+    "dotted name": b"\x80\x04\x8c\x05numpy\x8c\x15ndarray.__init__.__class__\x93.",
+    "dotted module": b"\x80\x04\x8c\x08builtins\x8c\x16object.__subclasses__\x93)R.",
+    "operator": pickle.dumps(Run(__import__("operator").attrgetter, "system")),
+    "functools.partial": pickle.dumps(Run(__import__("functools").partial, eval, _WRITE)),
+    "numpy.load": _global("numpy", "load") + b"(S'crater.npy'\nNI01\ntR.",
+    "numpy.save": _global("numpy", "save") + b"(S'crater.npy'\nI1\ntR.",
+    "numpy memmap": _global("numpy", "memmap") + b"(S'crater'\nS'u1'\nS'w+'\nI0\nI8\ntR.",
+    "numpy.lib.npyio": _global("numpy.lib.npyio", "DataSource") + b"(S'crater'\ntR.",
+    "numpy runstring": _global("numpy.testing._private.utils", "runstring") + f'(S"{_WRITE}"\n}}tR.'.encode(),
+    "numpy load_library": _global("numpy.ctypeslib", "load_library") + b"(S'crater.so'\nS'.'\ntR.",
+    "numpy fromfile": _global("numpy.core.multiarray", "fromfile") + b"(S'/etc/hostname'\ntR.",
+    "subclass of array": _global("numpy.core.multiarray", "_reconstruct") + _global("numpy", "memmap") + _TOUCH,
+    "reconstructor": _global("copyreg", "_reconstructor") + _global("os", "system") + _TOUCH,
+    "weird codec": _global("_codecs", "encode") + b"(Vtouch\nVrot13\ntR.",
+    "forged array": _FORGED,
+    "persistent id": b"Pcrater\n.",
+    "extension registry": b"\x82\x01.",
+    "changes a stand-in": _global("chumpy.ch", "Ch") + b"(N(dS'__new__'\nN" + b"stb.",
+    "changes a class's method": _global("chumpy.ch", "Ch") + b"(dS'__setstate__'\nNsb.",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ATTACKS)
+def test_attacks_are_refused_and_run_nothing(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    stands_for = {k: dict(vars(v)) for k, v in pickles._STANDS_FOR.items()}
+    for data in (ATTACKS[name], ATTACKS[name][:-1] + b"0}."):  # also where its result is thrown away
+        with pytest.raises(UserError) as error:
+            decode_pickle(data, "model.pkl")
+        assert str(error.value).startswith("model.pkl ") and str(error.value).endswith(".")
+        assert "\n" not in str(error.value)
+    assert not list(tmp_path.iterdir())
+    assert stands_for == {k: dict(vars(v)) for k, v in pickles._STANDS_FOR.items()}
+
+
+@pytest.mark.parametrize("name", ["os.system", "builtins.eval", "numpy.load"])
+def test_the_refused_class_is_named(name):
+    with pytest.raises(UserError, match=rf"model\.pkl holds a pickled {name}"):
+        decode_pickle(ATTACKS[name], "model.pkl")
+
+
+def test_the_attacks_would_work_otherwise(tmp_path, monkeypatch):
+    """With the usual reader they do what they say: else the tests above would prove nothing."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("os.system", "stack global", "builtins.exec", "object", "instance", "numpy memmap"):
+        pickle.load(io.BytesIO(ATTACKS[name]))  # noqa: S301
+        assert (tmp_path / "crater").exists(), name
+        (tmp_path / "crater").unlink()
+
+
+def test_what_holds_itself_is_refused():
+    endless: list = []
+    endless.append(endless)
+    with pytest.raises(UserError, match="holds itself"):
+        decode_pickle(pickle.dumps(endless), "file")
+
+
+def test_nesting_without_end_is_refused():
+    with pytest.raises(UserError, match="not a readable pickle"):
+        decode_pickle(b"]" * 100_000 + b"a" * 99_999 + b".", "file")
+
+
+def test_shared_parts_do_not_multiply():
+    value = [1.0]
+    for _ in range(200):
+        value = [value, value]  # 2²⁰⁰ leaves, told apart
+    decoded = decode_pickle(pickle.dumps(value), "file")
+    assert decoded[0] is decoded[1]
+
+
+def test_arrays_that_unfold_beyond_the_limit_are_refused(monkeypatch):
+    array = np.zeros(1000)
+    data = pickle.dumps([array[:] for _ in range(100)])
+    monkeypatch.setattr(pickles, "MAX_BYTES", 100 * array.nbytes)
+    assert len(decode_pickle(data, "file")) == 100
+    for value in ([array[:] for _ in range(101)], scipy.sparse.csc_matrix((10**4, 10**4))):
+        with pytest.raises(UserError, match="unfolds to more than"):
+            decode_pickle(pickle.dumps(value), "file")
+
+
+def test_huge_memo_numbers_are_refused():
+    with pytest.raises(UserError, match="memo number 4294967295"):
+        decode_pickle(b"]r\xff\xff\xff\xff.", "file")
+
+
+@pytest.mark.parametrize(
+    "change", [{"indices": np.array([0, 99])}, {"indices": np.array([-1, 0])}, {"indptr": np.array([0, 5, 2, 2])}]
+)
+def test_sparse_entries_outside_the_matrix_are_refused(change):
+    matrix = scipy.sparse.csc_matrix(np.diag([1.0, 2.0, 0.0]))
+    for name, value in change.items():
+        setattr(matrix, name, value)
+    with pytest.raises(UserError, match="sparse matrix"):
+        decode_pickle(pickle.dumps(matrix), "file")
+
+
+@settings(deadline=None, max_examples=150)
+@given(
+    position=st.floats(0, 1, exclude_max=True),
+    byte=st.integers(0, 255),
+    insert=st.booleans(),
+    protocol=st.integers(0, 5),
+)
+@example(position=0.0, byte=0, insert=False, protocol=2)
+def test_any_damage_gives_data_or_a_sentence(position, byte, insert, protocol):
+    data = bytearray(pickle.dumps({"x": np.arange(4.0), "y": [np.float32(1), "mug"]}, protocol))
+    at = int(position * len(data))
+    data[at : at + (not insert)] = bytes([byte])
+    try:
+        decode_pickle(bytes(data), "file")
+    except UserError as error:
+        assert str(error).startswith("file ")
+
+
+def test_a_missing_file_is_told(tmp_path):
+    with pytest.raises(UserError, match="does not exist"):
+        read_pickle(tmp_path / "model.pkl")
+    with pytest.raises(UserError, match="is no pickle file"):
+        read_pickle(tmp_path)
+
+
+def test_a_file_is_read(tmp_path):
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps(PLAIN))
+    assert read_pickle(tmp_path / "a.pkl") == PLAIN
+    (tmp_path / "b.pkl").write_bytes(pickle.dumps(Run(os.mkdir, str(tmp_path / "crater"))))
+    with pytest.raises(UserError, match=r"b\.pkl holds a pickled posix\.mkdir"):
+        read_pickle(tmp_path / "b.pkl")
+    assert not (tmp_path / "crater").exists()
