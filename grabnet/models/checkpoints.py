@@ -49,7 +49,8 @@ def read_checkpoint(path: str | Path) -> dict[str, Any]:
     try:
         return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises many kinds for a damaged file
-        raise UserError(f"Checkpoint {path} cannot be read ({str(error).splitlines()[0]}); delete it.") from None
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise UserError(f"Checkpoint {path} cannot be read ({reason}); delete it.") from None
 
 
 def newest_whole(folder: str | Path) -> Path | None:
