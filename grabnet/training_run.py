@@ -22,6 +22,7 @@ from grabnet.models.checkpoints import BEST, AtomicCheckpointIO, newest_whole, r
 from grabnet.models.training import GraspTraining
 from grabnet.models.weights import FILE_NAME, save_network
 from grabnet.provenance import provenance
+from grabnet.sweeps.runs import METRICS
 
 log = logging.getLogger(__name__)
 
@@ -32,9 +33,9 @@ DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCE
 def train(cfg: DictConfig) -> dict[str, float]:
     """Train, test and save.
 
-    The run folder `cfg.run_dir` gets config.yaml, provenance.json, logs/, history.json, checkpoints/, metrics.json (of
-    the best epoch by `cfg.objective`, and test errors of its weights) and, last, model.safetensors: where that exists,
-    the run is complete.
+    The run folder `cfg.run_dir` gets config.yaml, provenance.json, logs/, history.json, checkpoints/,
+    model.safetensors and, last, metrics.json (of the best epoch by `cfg.objective`, and test errors of its weights):
+    where that exists, the run is complete.
 
     Returns:
         the metrics.
@@ -82,11 +83,11 @@ def _train(cfg: DictConfig, run_dir: Path) -> dict[str, float]:
     if cfg.test:
         trainer.test(module, datamodule=data, verbose=False)
         metrics = metrics | {name: float(value) for name, value in trainer.callback_metrics.items()}
-    write_json(run_dir / "metrics.json", metrics)
     if trainer.is_global_zero:
         config: Any = OmegaConf.to_container(cfg, resolve=True)
         for folder, network in module.networks.items():
             save_network(run_dir / folder / FILE_NAME, network, record | {"config": config, "metrics": metrics})
+        write_json(run_dir / METRICS, metrics)
     log.info("Weights, metrics and logs are in %s.", run_dir)
     return metrics
 

@@ -19,7 +19,7 @@ from omegaconf import DictConfig
 from grabnet.errors import UserError
 from grabnet.files import write_json
 
-OUTCOME = "outcome.json"
+METRICS, OUTCOME = "metrics.json", "outcome.json"
 DONE, PRUNED, FAILED, UNFINISHED = "done", "pruned", "failed", "unfinished"
 
 log = logging.getLogger(__name__)
@@ -46,7 +46,7 @@ class Run:
     @property
     def status(self) -> str:
         """done, pruned, failed, or unfinished: not begun, going on or killed."""
-        if all((self.folder / name).exists() for name in ("model.safetensors", "metrics.json")):
+        if (self.folder / METRICS).exists():
             return DONE
         return self._outcome().get("status", UNFINISHED)
 
@@ -62,7 +62,7 @@ class Run:
 
     def metrics(self) -> dict[str, float]:
         """Those of its best epoch, and its test errors. Only for a run that is done."""
-        return json.loads((self.folder / "metrics.json").read_text())
+        return json.loads((self.folder / METRICS).read_text())
 
     def _outcome(self) -> dict[str, str]:
         path = self.folder / OUTCOME

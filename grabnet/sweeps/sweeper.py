@@ -53,7 +53,8 @@ class RunSweeper(Sweeper):
         lines = [*(f"{key}={value}" for key, value in self.params.items()), *arguments]
         try:
             parser = OverridesParser.create(config_loader=self.hydra_context.config_loader)
-            runs = self.run_all(parser.parse_overrides(lines))
+            last_word = {o.get_key_element(): o for o in parser.parse_overrides(lines)}
+            runs = self.run_all(list(last_word.values()))
         except UserError as error:
             fail(error)
         except HydraException as error:

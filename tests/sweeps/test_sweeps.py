@@ -73,10 +73,9 @@ def test_a_sweep_outlives_a_failure_and_a_kill(tiny_dataset, tmp_path, cache_dir
 
 def test_a_search_goes_on_where_it_was_killed(tiny_dataset, tmp_path, cache_dir):
     sweep, output = tmp_path / "search", tmp_path / "output.txt"
-    tiny = [o for o in tiny_overrides(tiny_dataset, None, cache_dir) if "model=" not in o and "width" not in o]
+    tiny = tiny_overrides(tiny_dataset, None, cache_dir)
     more = ["callbacks.pruning.min_epochs=1", "callbacks.pruning.min_siblings=2", "test=false"]
     space = ["model.width=choice(16,32)", "data.batch_size=choice(32,64)", "hydra.sweeper.n_trials=5"]
-    tiny = [o for o in tiny if "batch_size" not in o and "max_epochs" not in o]
     arguments = ["-m", "hparams_search=coarsenet", f"sweep_dir={sweep}", *tiny, *more, *space, "trainer.max_epochs=2"]
     process = start(arguments, output)
     wait_for(lambda: (sweep / "trial_001/.hydra").exists())
