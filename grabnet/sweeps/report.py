@@ -54,14 +54,17 @@ def _table(rows: Sequence[Row], runs: Sequence[Run]) -> Table:
     table = Table(title=f"{len(runs)} runs in {runs[0].folder.parent}")
     names = [name for name in rows[0] if name not in ("folder", "reason")]
     for name in names:
-        table.add_column(name, justify="left" if name == "status" else "right", overflow="fold")
+        table.add_column(name.replace(".", ".\n"), justify="left" if name == "status" else "right", overflow="fold")
     for line in rows:
         table.add_row(*(_cell(line[name]) for name in names), style="red" if line["status"] == FAILED else None)
     return table
 
 
 def _cell(value: str | float | None) -> str:
-    return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+    try:
+        return "" if value is None else f"{float(value):.5g}"
+    except ValueError:
+        return str(value)
 
 
 def plot(runs: Sequence[Run], objective: str) -> Figure:
