@@ -7,11 +7,11 @@ from grabnet.cli import hydra_entry
 
 
 @hydra_entry("train")
-def main(cfg: DictConfig) -> float | None:
+def main(cfg: DictConfig) -> float:
     from grabnet.training_run import train  # slow to import: a mistyped command should not wait for it
 
     cfg.run_dir = HydraConfig.get().runtime.output_dir
-    return train(cfg).get("val/loss")
+    return train(cfg)[cfg.objective]
 
 
 if __name__ == "__main__":

@@ -7,11 +7,14 @@ import functools
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NoReturn
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException, InstantiationException, MissingConfigException
+from hydra.types import RunMode
 from omegaconf import DictConfig, open_dict
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
@@ -29,12 +32,14 @@ def hydra_entry(config_name: str) -> Callable[[Callable[[DictConfig], object]], 
         def job(cfg: DictConfig) -> object:
             try:
                 return main(cfg)
-            except UserError as error:
-                fail(error)
-            except InstantiationException as error:  # how Hydra passes on what a constructor raised
-                if not isinstance(error.__cause__, UserError):
+            except (UserError, InstantiationException) as error:
+                # The second is how Hydra passes on what a constructor raised.
+                mistake = error if isinstance(error, UserError) else error.__cause__
+                if not isinstance(mistake, UserError):
                     raise
-                fail(error.__cause__)
+                if HydraConfig.get().mode == RunMode.MULTIRUN:  # one run of many: the others go on
+                    raise mistake from None
+                fail(mistake)
 
         def entry() -> None:
             try:
@@ -48,7 +53,7 @@ def hydra_entry(config_name: str) -> Callable[[Callable[[DictConfig], object]], 
     return decorate
 
 
-def fail(error: UserError) -> None:
+def fail(error: UserError) -> NoReturn:
     """Print the sentence and leave."""
     print(f"error: {error}", file=sys.stderr)
     sys.exit(2)
@@ -62,14 +67,25 @@ def _rehearse(config_name: str, arguments: list[str]) -> None:
     if strange := [a for a in overrides if "=" not in a and not a.startswith("~")]:
         raise UserError(f"The argument '{strange[0]}' has no value: give it as {strange[0]}=…")
     try:
-        # A sweep is rehearsed with the first value of each choice.
-        for parsed in (OverridesParser.create().parse_override(o) for o in overrides):
-            if parsed.is_sweep_override():
-                first = next(iter(parsed.sweep_string_iterator()))
-                overrides[overrides.index(parsed.input_line)] = f"{parsed.input_line.split('=', 1)[0]}={first}"
+        parsed = OverridesParser.create().parse_overrides(overrides)
+        choices = [_choices(override) for override in parsed]
     except HydraException as error:
         raise UserError(_sentence(error)) from None
-    compose(config_name, overrides)
+    # A sweep is rehearsed with each of its values in turn, those of the others being their first.
+    first = [values[0] for values in choices]
+    compose(config_name, first)
+    for i, values in enumerate(choices):
+        for value in values[1:]:
+            compose(config_name, [*first[:i], value, *first[i + 1 :]])
+
+
+def _choices(override: Override) -> list[str]:
+    """What an override stands for: itself, each value of a sweep, or the ends of an interval."""
+    if not override.is_sweep_override():
+        return [override.input_line]
+    sweep = override.value()
+    values = [sweep.start, sweep.end] if override.is_interval_sweep() else override.sweep_string_iterator()
+    return [f"{override.get_key_element()}={value}" for value in values]
 
 
 def compose(config_name: str, overrides: Sequence[str]) -> DictConfig:

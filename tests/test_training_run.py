@@ -3,43 +3,21 @@
 from __future__ import annotations
 
 import json
-import os
+import random
 import signal
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 import torch
 
 from grabnet.cli import compose
 from grabnet.errors import UserError
-from grabnet.models.checkpoints import read_checkpoint
+from grabnet.history import read_history
+from grabnet.models.checkpoints import newest_whole, read_checkpoint
 from grabnet.models.weights import load_coarsenet, load_refinenet, read_provenance
 from grabnet.training_run import train
-
-ROOT = Path(__file__).parents[1]
-
-
-def tiny_overrides(root: Path, run_dir: Path, cache_dir: Path, model: str = "coarsenet", *more: str) -> list[str]:
-    return [
-        f"model={model}",
-        "data=frames",
-        f"data.root={root}",
-        f"data.cache_dir={cache_dir}",
-        "data.val_objects=[can]",
-        "data.test_objects=[ring]",
-        "data.batch_size=32",
-        "data.near_points=32",
-        f"run_dir={run_dir}",
-        "model.width=32",
-        "model.n_hidden=16",
-        "trainer.max_epochs=3",
-        "callbacks.progress_bar=null",
-        *(["model.bps.n_points=128"] if model == "coarsenet" else []),
-        *more,
-    ]
+from tests.processes import finish, start
+from tests.tiny import tiny_overrides
 
 
 @pytest.mark.parametrize("model", ["coarsenet", "refinenet"])
@@ -73,28 +51,70 @@ def test_both_networks_go_on_end_to_end_from_trained_ones(tiny_dataset, tmp_path
         assert any(not torch.equal(a, b) for a, b in zip(before.parameters(), after.parameters(), strict=True))
 
 
-def test_a_killed_run_goes_on_as_if_nothing_had_happened(tiny_dataset, tmp_path, cache_dir):
+def test_a_run_killed_again_and_again_ends_as_if_nothing_had_happened(tiny_dataset, tmp_path, cache_dir):
     unbroken, broken = tmp_path / "unbroken", tmp_path / "broken"
-    overrides = ("trainer.max_epochs=25", "test=false")
-
-    def command(run_dir: Path) -> list[str]:
-        return [sys.executable, "train.py", *tiny_overrides(tiny_dataset, run_dir, cache_dir, "coarsenet", *overrides)]
-
-    # Both in a process of their own: threads that an earlier test set would change the order of sums, so the last bit.
-    subprocess.run(command(unbroken), cwd=ROOT, check=True, capture_output=True)
-    process = subprocess.Popen(command(broken), cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    last = broken / "checkpoints/last.ckpt"
-    while not last.exists() and process.poll() is None:
-        time.sleep(0.02)
-    time.sleep(0.5)
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
-    assert not (broken / "model.safetensors").exists(), "the run ended before it was killed: give it more epochs"
-    killed_at = read_checkpoint(last)["global_step"]
-    assert 0 < killed_at < 25 * 3
-    subprocess.run(command(broken), cwd=ROOT, check=True, capture_output=True)
+    # No epoch is good enough for this schedule: the rate falls after each, and must not miss one.
+    schedule = ("model.scheduler.patience=0", "model.scheduler.factor=0.8", "+model.scheduler.threshold=0.9")
+    more = ("trainer.max_epochs=14", "test=false", "callbacks.early_stopping=null", *schedule)
+    arguments = [tiny_overrides(tiny_dataset, run_dir, cache_dir, "coarsenet", *more) for run_dir in (unbroken, broken)]
+    output = tmp_path / "output.txt"
+    assert finish(arguments[0], output) == 0, output.read_text()
+    last, reached = broken / "checkpoints/last.ckpt", []
+    for _ in range(3):
+        before = last.stat().st_mtime_ns if last.exists() else None
+        process = start(arguments[1], output)
+        while process.is_alive() and (not last.exists() or last.stat().st_mtime_ns == before):
+            time.sleep(0.01)
+        time.sleep(random.uniform(0, 0.4))
+        process.kill()
+        process.join()
+        assert process.exitcode == -signal.SIGKILL, output.read_text()
+        reached.append(read_checkpoint(newest_whole(broken / "checkpoints"))["global_step"])
+    assert 0 < reached[0] < reached[1] < reached[2] < 14 * 3
+    assert finish(arguments[1], output) == 0, output.read_text()
+    weights = load_coarsenet(broken).state_dict()
     for name, value in load_coarsenet(unbroken).state_dict().items():
-        torch.testing.assert_close(load_coarsenet(broken).state_dict()[name], value, rtol=0, atol=0)
+        torch.testing.assert_close(weights[name], value, rtol=0, atol=0)
+    assert [epoch["epoch"] for epoch in read_history(broken)] == list(range(14))
+
+
+def test_a_damaged_checkpoint_gives_way_to_the_one_before(tiny_dataset, tmp_path, cache_dir, caplog):
+    overrides = tiny_overrides(tiny_dataset, tmp_path, cache_dir, "coarsenet", "test=false")
+    train(compose("train", overrides))
+    last, previous = tmp_path / "checkpoints/last.ckpt", tmp_path / "checkpoints/last.previous.ckpt"
+    assert read_checkpoint(last)["epoch"] == 2 and read_checkpoint(previous)["epoch"] == 1
+    last.write_bytes(last.read_bytes()[:-100])
+    train(compose("train", overrides))
+    told = [r.message for r in caplog.records if r.name == "grabnet.models.checkpoints"]
+    assert told == [f"{last} is damaged: going on from last.previous.ckpt, the one before."]
+    assert read_checkpoint(last)["epoch"] == 2
+    last.write_bytes(b"")
+    previous.write_bytes(previous.read_bytes()[:1000])
+    with pytest.raises(UserError, match=r"last\.ckpt and .*last\.previous\.ckpt cannot be read, .* delete "):
+        train(compose("train", overrides))
+
+
+def test_a_full_disk_ends_in_a_sentence_and_the_last_checkpoint_stays(tiny_dataset, tmp_path, cache_dir):
+    output, run_dir = tmp_path / "output.txt", tmp_path / "run"
+
+    def overrides(epochs: int) -> list[str]:
+        more = ("test=false", f"trainer.max_epochs={epochs}")
+        return tiny_overrides(tiny_dataset, run_dir, cache_dir, "coarsenet", *more)
+
+    train(compose("train", overrides(1)))
+    last = run_dir / "checkpoints/last.ckpt"
+    whole = last.read_bytes()
+    assert finish(overrides(3), output, max_file_bytes=len(whole) // 2) == 2
+    told = output.read_text().splitlines()[-1]
+    assert told == (
+        f"error: {run_dir} cannot be written to (File too large): make room, or choose another run_dir; "
+        f"{last} is whole, and the same command goes on from it."
+    )
+    assert "Traceback" not in output.read_text()
+    assert last.read_bytes() == whole
+    assert {p.name for p in last.parent.iterdir()} == {"best.ckpt", "last.ckpt"}  # nothing half-written is left
+    assert finish(overrides(3), output) == 0
+    assert read_checkpoint(last)["epoch"] == 2
 
 
 def test_frames_are_learned_by_heart(tiny_dataset, tmp_path, cache_dir):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import os
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +13,30 @@ from lightning.fabric.plugins import TorchCheckpointIO
 from grabnet.errors import UserError
 from grabnet.files import replacing
 
+BEST, LAST, PREVIOUS = "best.ckpt", "last.ckpt", "last.previous.ckpt"
+
+log = logging.getLogger(__name__)
+
 
 class AtomicCheckpointIO(TorchCheckpointIO):
-    """Lightning's checkpoint files, moved into place only once they are complete."""
+    """Lightning's checkpoint files, moved into place only once they are complete and on the disk.
 
-    def save_checkpoint(self, checkpoint: dict[str, Any], path: str, storage_options: Any | None = None) -> None:
+    `last.ckpt` steps aside to `last.previous.ckpt` for its successor: there is a whole one at every instant, and still
+    one where the newest is damaged later.
+    """
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any = None) -> None:
+        path = Path(path)
         with replacing(path) as temporary:
-            torch.save(checkpoint, temporary)
+            with temporary.open("wb") as file:
+                _save(checkpoint, file)
+                os.fsync(file.fileno())
+            if path.name == LAST and path.exists():
+                path.replace(path.with_name(PREVIOUS))
 
-    def load_checkpoint(self, path: str, map_location: Any = None, weights_only: bool | None = None) -> dict[str, Any]:
+    def load_checkpoint(
+        self, path: str | Path, map_location: Any = None, weights_only: bool | None = None
+    ) -> dict[str, Any]:
         return read_checkpoint(path)
 
 
@@ -32,4 +49,42 @@ def read_checkpoint(path: str | Path) -> dict[str, Any]:
     try:
         return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises many kinds for a damaged file
-        raise UserError(f"Checkpoint {path} cannot be read ({str(error).splitlines()[0]}); delete it.") from None
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise UserError(f"Checkpoint {path} cannot be read ({reason}); delete it.") from None
+
+
+def newest_whole(folder: str | Path) -> Path | None:
+    """The newest checkpoint in a folder that can be read, None where there is none at all.
+
+    Damaged ones are removed as soon as another is found, lest they take its place when they step aside.
+
+    Raises:
+        UserError: there are checkpoints, and none can be read.
+    """
+    damaged = []
+    for path in (Path(folder) / name for name in (LAST, PREVIOUS)):
+        if not path.exists():
+            continue
+        try:
+            read_checkpoint(path)
+        except UserError:
+            damaged.append(path)
+            continue
+        for other in damaged:
+            log.warning("%s is damaged: going on from %s, the one before.", other, path.name)
+            other.unlink()
+        return path
+    if damaged:
+        names = " and ".join(str(p) for p in damaged)
+        raise UserError(f"{names} cannot be read, and the run cannot go on: delete {folder} to begin it anew.")
+    return None
+
+
+def _save(checkpoint: dict[str, Any], file: Any) -> None:
+    """`torch.save`, whose writer hides what the disk said behind an error of its own."""
+    try:
+        torch.save(checkpoint, file)
+    except RuntimeError as error:
+        if isinstance(error.__context__, OSError):
+            raise error.__context__ from None
+        raise

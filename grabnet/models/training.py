@@ -51,6 +51,17 @@ class GraspTraining(L.LightningModule):
         schedule = {"scheduler": self.make_scheduler(optimizer), "monitor": "val/loss", "interval": "epoch"}
         return {"optimizer": optimizer, "lr_scheduler": schedule}
 
+    def lr_scheduler_step(self, scheduler: Any, metric: Any) -> None:
+        if metric is None:
+            super().lr_scheduler_step(scheduler, metric)
+
+    def on_train_epoch_end(self) -> None:
+        # Lightning steps a schedule that watches a metric only after the epoch's checkpoint is written: a resumed run
+        # would be one step behind, and its learning rate fall later.
+        for schedule in self.trainer.lr_scheduler_configs:
+            if schedule.reduce_on_plateau and schedule.monitor in self.trainer.callback_metrics:
+                schedule.scheduler.step(self.trainer.callback_metrics[schedule.monitor])
+
     def reconstruct(self, batch: GraspBatch) -> tuple[Tensor, dict[str, Tensor]]:
         """Predicted vertices (B, V, 3) and the weighted loss terms of a batch."""
         raise NotImplementedError

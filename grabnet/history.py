@@ -1,0 +1,61 @@
+"""What a run measured, epoch by epoch, in one small file that other runs and reports read while it goes on."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+
+from grabnet.errors import UserError
+from grabnet.files import write_json
+
+HISTORY = "history.json"
+
+Epoch = dict[str, float]
+
+
+class History(L.Callback):
+    """Writes `history.json` into the run folder: for each epoch its number, the seconds of training until its end (of
+    earlier attempts too) and every metric.
+
+    Args:
+        objective: the metric that the run is judged by; smaller is better.
+    """
+
+    def __init__(self, objective: str):
+        self.objective = objective
+        self.epochs: list[Epoch] = []
+
+    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        self._begun = time.monotonic() - (self.epochs[-1]["seconds"] if self.epochs else 0.0)
+
+    def on_train_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        metrics = {name: float(value) for name, value in trainer.callback_metrics.items()}
+        if self.objective not in metrics and not trainer.should_stop:  # out of time before the first validation
+            raise UserError(f"objective={self.objective} is not measured; what is: {', '.join(sorted(metrics))}.")
+        seconds = round(time.monotonic() - self._begun, 2)
+        self.epochs.append({"epoch": trainer.current_epoch, "seconds": seconds, **metrics})
+        if trainer.is_global_zero:
+            write_json(Path(trainer.default_root_dir) / HISTORY, self.epochs)
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"epochs": self.epochs}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        self.epochs = state_dict["epochs"]
+
+
+def read_history(run_dir: str | Path) -> list[Epoch]:
+    """The epochs of a run so far; none where it has not come to the end of one."""
+    path = Path(run_dir) / HISTORY
+    return json.loads(path.read_text()) if path.exists() else []
+
+
+def best_epoch(epochs: list[Epoch], objective: str) -> Epoch | None:
+    """The epoch with the smallest objective; None where it was never finite."""
+    finite = [epoch for epoch in epochs if math.isfinite(epoch.get(objective, math.nan))]
+    return min(finite, key=lambda epoch: epoch[objective], default=None)

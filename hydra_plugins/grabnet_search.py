@@ -1,0 +1,108 @@
+"""Hydra plugin: Optuna chooses the values (`hydra/sweeper=search`)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hydra.core.override_parser.types import IntervalSweep, Override
+
+from grabnet.errors import UserError
+from grabnet.sweeps.runs import DONE, FAILED, PRUNED, Run
+from grabnet.sweeps.sweeper import RunSweeper, fixed
+
+STUDY = "study.log"
+
+
+class SearchSweeper(RunSweeper):
+    """Minimises the objective over lists of values, `interval(low, high)`, `int(interval(low, high))` and, on a
+    logarithmic scale, `tag(log, interval(low, high))`.
+
+    The study is kept in the sweep's folder after every run: a killed search goes on where it was.
+
+    Args:
+        n_trials: runs in all, those of earlier commands in the same folder included.
+        n_jobs: runs launched at once; the launcher decides whether they run at the same time.
+        n_startup: random ones at the beginning.
+        seed: of the choices.
+        params: the search space, which the command line adds to.
+    """
+
+    def __init__(self, n_trials: int, n_jobs: int, n_startup: int, seed: int, params: dict[str, str] | None = None):
+        super().__init__(params)
+        self.n_trials, self.n_jobs, self.n_startup, self.seed = n_trials, n_jobs, n_startup, seed
+
+    def run_all(self, overrides: list[Override]) -> list[Run]:
+        space = {o.get_key_element(): _distribution(o) for o in overrides if o.is_sweep_override()}
+        if not space:
+            raise UserError("There is nothing to search: name values, as in model.optimizer.lr='interval(1e-4,1e-3)'.")
+        lines = fixed(overrides)
+        study = self._study(lines)
+
+        def run(trial: Any) -> Run:
+            values = {key: str(value) for key, value in trial.params.items()}
+            told = (*lines, *(f"{key}={value}" for key, value in values.items()))
+            return Run(self.folder / f"trial_{trial.number:03d}", told, values)
+
+        begun = [t for t in study.trials if not t.state.is_finished()]  # by a search that was killed
+        while True:
+            batch, begun = begun[: self.n_jobs], begun[self.n_jobs :]
+            new = min(self.n_jobs - len(batch), self.n_trials - len(study.trials))
+            batch += [study.ask(space) for _ in range(new)]
+            if not batch:
+                return [run(trial) for trial in study.trials]
+            runs = [run(trial) for trial in batch]
+            self.launch(runs)
+            for trial, ended in zip(batch, runs, strict=True):
+                self._tell(study, trial.number, ended)
+
+    def _study(self, lines: list[str]) -> Any:
+        """The study in the sweep's folder, begun where there is none."""
+        optuna = _optuna()
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        file = optuna.storages.journal.JournalFileBackend(str(self.folder / STUDY))
+        study = optuna.create_study(
+            storage=optuna.storages.JournalStorage(file), study_name="search", load_if_exists=True
+        )
+        # A sampler that began with the same seed again would propose the first values again.
+        study.sampler = optuna.samplers.TPESampler(
+            seed=self.seed + len(study.trials), n_startup_trials=self.n_startup, multivariate=True, constant_liar=True
+        )
+        told = sorted(line for line in lines if not line.startswith("sweep_dir="))
+        if study.user_attrs.setdefault("overrides", told) != told:
+            raise UserError(
+                f"The search in {self.folder} was begun with {' '.join(study.user_attrs['overrides'])}: give the same, "
+                f"or another sweep_dir."
+            )
+        study.set_user_attr("overrides", told)
+        return study
+
+    def _tell(self, study: Any, number: int, run: Run) -> None:
+        """Record what became of a trial; one that did not come back stays open for the next command."""
+        state = _optuna().trial.TrialState
+        if run.status == DONE:
+            study.tell(number, run.metrics()[self.config.objective])
+        elif run.status == PRUNED:
+            study.tell(number, state=state.PRUNED)
+        elif run.status == FAILED:
+            study.tell(number, state=state.FAIL)
+
+
+def _optuna() -> Any:
+    try:
+        import optuna
+    except ImportError:
+        raise UserError("A search needs Optuna: pip install -e '.[sweeps]'.") from None
+    return optuna
+
+
+def _distribution(override: Override) -> Any:
+    distributions = _optuna().distributions
+    if override.is_discrete_sweep():
+        return distributions.CategoricalDistribution(list(override.sweep_string_iterator()))
+    interval = override.value()
+    assert isinstance(interval, IntervalSweep)
+    low, high, log = interval.start, interval.end, "log" in interval.tags
+    if isinstance(low, int) and isinstance(high, int):
+        return distributions.IntDistribution(low, high, log=log)
+    return distributions.FloatDistribution(low, high, log=log)

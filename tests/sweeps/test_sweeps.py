@@ -1,0 +1,110 @@
+"""Sweeps for real: failures outlived, killed ones resumed, a search, and jobs that a cluster interrupts."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import time
+from collections.abc import Callable
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from grabnet.history import read_history
+from grabnet.sweeps.runs import folder_name
+from tests.processes import finish, start
+from tests.tiny import tiny_overrides
+
+HOPELESS = "1e30"  # a learning rate with which nothing stays finite
+
+
+def wait_for(condition: Callable[[], object], process: ForkServerProcess, output: Path) -> None:
+    while not condition():
+        assert process.is_alive(), output.read_text()
+        time.sleep(0.02)
+
+
+def table(folder: Path) -> list[dict[str, str]]:
+    with (folder / "sweep.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_names_tell_runs_apart_and_are_stable():
+    values = {"model.latent_dim": "8"}
+    name = folder_name(["seed=1", "sweep_dir=a", "model.latent_dim=8"], values)
+    assert name.startswith("model.latent_dim=8-")
+    assert name == folder_name(["model.latent_dim=8", "seed=1", "sweep_dir=b"], values)
+    assert name != folder_name(["model.latent_dim=8", "seed=2"], values)
+    assert "/" not in folder_name([], {"objects.dir": "/a/b"})
+
+
+def test_a_sweep_outlives_a_failure_and_a_kill(tiny_dataset, tmp_path, cache_dir):
+    sweep, output = tmp_path / "sweep", tmp_path / "output.txt"
+    rates = f"model.optimizer.lr=0.001,{HOPELESS},0.002"
+    arguments = ["-m", rates, f"sweep_dir={sweep}", *tiny_overrides(tiny_dataset, None, cache_dir)]
+    process = start([*arguments, "test=false"], output)
+    wait_for(lambda: list(sweep.glob("*lr=0.002*/history.json")), process, output)
+    process.kill()
+    process.join()
+    done = next(sweep.glob("*lr=0.001*"))
+    weights, last = done / "model.safetensors", next(sweep.glob("*lr=0.002*"))
+    assert weights.exists() and not (last / "model.safetensors").exists()
+    before = weights.stat().st_mtime_ns
+
+    output.write_text("")
+    assert finish([*arguments, "test=false"], output) == 1  # one failed
+    told = output.read_text()
+    assert "diverged: val/loss was never finite; lower model.optimizer.lr." in told and "Traceback" not in told
+    assert f"Going on from {last}/checkpoints/last.ckpt" in told
+    assert weights.stat().st_mtime_ns == before
+    assert [run["status"] for run in table(sweep)] == ["done", "failed", "done"]
+    for run in table(sweep):
+        epochs = read_history(sweep / run["folder"])
+        if run["status"] == "done":
+            assert float(run["val/loss"]) == min(e["val/loss"] for e in epochs) and len(epochs) == 3
+            assert float(run["val/v2v"]) > 0 and float(run["seconds"]) > 0
+        else:
+            assert run["val/loss"] == "" and "diverged" in run["reason"]
+    assert Image.open(sweep / "sweep.png").width > 600
+
+
+def test_a_search_goes_on_where_it_was_killed(tiny_dataset, tmp_path, cache_dir):
+    sweep, output = tmp_path / "search", tmp_path / "output.txt"
+    tiny = tiny_overrides(tiny_dataset, None, cache_dir)
+    more = ["callbacks.pruning.min_epochs=1", "callbacks.pruning.min_siblings=2", "test=false"]
+    space = ["model.width=choice(16,32)", "data.batch_size=choice(32,64)", "hydra.sweeper.n_trials=5"]
+    arguments = ["-m", "hparams_search=coarsenet", f"sweep_dir={sweep}", *tiny, *more, *space, "trainer.max_epochs=2"]
+    process = start(arguments, output)
+    wait_for(lambda: (sweep / "trial_001/.hydra").exists(), process, output)
+    process.kill()
+    process.join()
+    assert finish(arguments, output) == 0, output.read_text()
+    runs = table(sweep)
+    assert [run["folder"] for run in runs] == [f"trial_{i:03d}" for i in range(5)]
+    assert {run["status"] for run in runs} <= {"done", "pruned"}
+    assert all(1e-4 <= float(run["model.optimizer.lr"]) <= 3e-3 for run in runs)
+    assert {run["model.width"] for run in runs} <= {"16", "32"}
+    assert len({run["model.optimizer.lr"] for run in runs}) == 5
+    assert finish([*arguments, "seed=1"], output) == 2
+    assert "give the same, or another sweep_dir" in output.read_text().splitlines()[-1]
+
+
+def test_an_interrupted_cluster_job_is_requeued_and_goes_on(tiny_dataset, tmp_path, cache_dir):
+    pytest.importorskip("submitit")
+    sweep, output = tmp_path / "sweep", tmp_path / "output.txt"
+    more = ("trainer.max_epochs=20", "callbacks.early_stopping=null", "test=false")
+    tiny = tiny_overrides(tiny_dataset, None, cache_dir, "coarsenet", *more)
+    process = start(["-m", "seed=3", "hydra/launcher=submitit_local", f"sweep_dir={sweep}", *tiny], output)
+    wait_for(lambda: list(sweep.glob("*/checkpoints/last.ckpt")), process, output)
+    job = next(p for p in (sweep / ".submitit").iterdir() if p.name.isdigit())
+    (task,) = Path(f"/proc/{job.name}/task/{job.name}/children").read_text().split()
+    os.kill(int(task), signal.SIGUSR2)  # what submitit has a queue send before it takes the machine away
+    process.join()
+    assert process.exitcode == 0, output.read_text()
+    (run,) = table(sweep)
+    assert run["status"] == "done"
+    assert [epoch["epoch"] for epoch in read_history(sweep / run["folder"])] == list(range(20))
+    assert "Going on from" in (sweep / run["folder"] / "train.log").read_text()
