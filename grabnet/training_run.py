@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import lightning as L
+import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
@@ -50,6 +51,8 @@ def train(cfg: DictConfig) -> dict[str, float]:
 
 def _train(cfg: DictConfig, run_dir: Path) -> dict[str, float]:
     _quiet()
+    # Said explicitly, so that MKL does not choose another number of threads, and order of sums, from call to call.
+    torch.set_num_threads(torch.get_num_threads())
     L.seed_everything(cfg.seed, verbose=False)
     with replacing(run_dir / "config.yaml") as temporary:
         OmegaConf.save(cfg, temporary, resolve=True)

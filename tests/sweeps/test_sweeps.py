@@ -46,7 +46,7 @@ def test_a_sweep_outlives_a_failure_and_a_kill(tiny_dataset, tmp_path, cache_dir
     rates = f"model.optimizer.lr=0.001,{HOPELESS},0.002"
     arguments = ["-m", rates, f"sweep_dir={sweep}", *tiny_overrides(tiny_dataset, None, cache_dir)]
     process = start([*arguments, "test=false"], output)
-    wait_for(lambda: list(sweep.glob("*lr=0.002*/history.json")), process, output)
+    wait_for(lambda: list(sweep.glob("*lr=0.002*/checkpoints/last.ckpt")), process, output)
     process.kill()
     process.join()
     done = next(sweep.glob("*lr=0.001*"))
