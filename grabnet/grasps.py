@@ -20,58 +20,22 @@ DEFINITIONS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Grasps:
-    """N hands on `mesh`; tensors on the CPU.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Contacts:
+    """How N hands meet an object; tensors on one device.
 
     Attributes:
-        mesh: the object, as in its file.
-        to_object: (4, 4) similarity from the mesh's frame and units to metres, z up.
-        side: "right" or "left".
-        seed: of the draw; grasp i of a seed is the same whatever N.
-        parameters: N poses of the hand model, along the axes of the mesh's frame and from its origin, but in metres
-            as hand models are: posed vertices times `units_per_metre` are `vertices`.
-        betas: (N, n) hand shapes.
-        object_transform: (N, 4, 4) from the mesh's frame to the world that each grasp was made in: metres, z up, turned
-            as the networks saw the object, origin at its centroid.
-        vertices: (N, V, 3) hands in the mesh's frame and units. faces: (F, 3), outward.
+        distances: (N, V) metres from each hand vertex to the object's surface, negative inside.
         finger: (V,) index into `FINGERS`; -1 on palm and wrist.
-        distances: (N, V) metres from each hand vertex to the mesh's surface, negative inside; exact within 1 cm of it.
         contact_distance: metres, below which a vertex is in contact (spec 4).
     """
 
-    mesh: Mesh
-    to_object: np.ndarray
-    side: str
-    seed: int
-    parameters: HandParameters
-    betas: Tensor
-    object_transform: Tensor
-    vertices: Tensor
-    faces: Tensor
-    finger: Tensor
     distances: Tensor
+    finger: Tensor
     contact_distance: float = 0.0045
 
     def __len__(self) -> int:
-        return len(self.vertices)
-
-    def first(self, n: int) -> Grasps:
-        """The first n of them, or all when there are fewer."""
-        per_grasp = ("betas", "object_transform", "vertices", "distances")
-        return replace(
-            self, parameters=self.parameters.select(slice(n)), **{name: getattr(self, name)[:n] for name in per_grasp}
-        )
-
-    @property
-    def units_per_metre(self) -> float:
-        """How many of the mesh's units make a metre."""
-        return float(np.linalg.det(self.to_object[:3, :3]) ** (-1 / 3))
-
-    @property
-    def up(self) -> np.ndarray:
-        """(3,) the direction that points up in the mesh's frame, of length 1."""
-        return self.to_object[2, :3] * self.units_per_metre
+        return len(self.distances)
 
     @property
     def max_penetration(self) -> Tensor:
@@ -96,6 +60,52 @@ class Grasps:
         """(N,) bool: the thumb and at least one other finger are in contact."""
         touching = self.contact_vertices[:, : len(FINGERS)] > 0
         return touching[:, 0] & touching[:, 1:].any(1)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Grasps(Contacts):
+    """N hands on `mesh`; tensors on the CPU.
+
+    Attributes:
+        mesh: the object, as in its file.
+        to_object: (4, 4) similarity from the mesh's frame and units to metres, z up.
+        side: "right" or "left".
+        seed: of the draw; grasp i of a seed is the same whatever N.
+        parameters: N poses of the hand model, along the axes of the mesh's frame and from its origin, but in metres
+            as hand models are: posed vertices times `units_per_metre` are `vertices`.
+        betas: (N, n) hand shapes.
+        object_transform: (N, 4, 4) from the mesh's frame to the world that each grasp was made in: metres, z up, turned
+            as the networks saw the object, origin at its centroid.
+        vertices: (N, V, 3) hands in the mesh's frame and units. faces: (F, 3), outward.
+        distances: as in `Contacts`, exact within 1 cm of the mesh.
+    """
+
+    mesh: Mesh
+    to_object: np.ndarray
+    side: str
+    seed: int
+    parameters: HandParameters
+    betas: Tensor
+    object_transform: Tensor
+    vertices: Tensor
+    faces: Tensor
+
+    def first(self, n: int) -> Grasps:
+        """The first n of them, or all when there are fewer."""
+        per_grasp = ("betas", "object_transform", "vertices", "distances")
+        return replace(
+            self, parameters=self.parameters.select(slice(n)), **{name: getattr(self, name)[:n] for name in per_grasp}
+        )
+
+    @property
+    def units_per_metre(self) -> float:
+        """How many of the mesh's units make a metre."""
+        return float(np.linalg.det(self.to_object[:3, :3]) ** (-1 / 3))
+
+    @property
+    def up(self) -> np.ndarray:
+        """(3,) the direction that points up in the mesh's frame, of length 1."""
+        return self.to_object[2, :3] * self.units_per_metre
 
     def summary(self) -> str:
         """The grasps in a line for the screen."""

@@ -1,9 +1,13 @@
-"""One training run from config to weights: what `train.py` does."""
+"""One training run from config to weights: what `train.py` does.
+
+`python -m grabnet.training_run <config.yaml>` takes part in a run that another process has begun.
+"""
 
 from __future__ import annotations
 
 import errno
 import logging
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,18 +16,22 @@ from typing import Any
 
 import lightning as L
 import torch
+from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
+from grabnet.cli import fail
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.errors import UserError
 from grabnet.files import replacing, sha256, write_json
 from grabnet.history import History, best_epoch
+from grabnet.models.acceleration import compile_blocks, set_matmul_precision
 from grabnet.models.checkpoints import BEST, AtomicCheckpointIO, newest_whole, read_checkpoint
 from grabnet.models.training import GraspTraining
 from grabnet.models.weights import FILE_NAME, save_network
+from grabnet.processes import OwnProcesses, started_from_outside, together
 from grabnet.provenance import provenance
-from grabnet.sweeps.runs import METRICS
+from grabnet.sweeps.runs import METRICS, Pruned
 
 log = logging.getLogger(__name__)
 
@@ -36,13 +44,15 @@ def train(cfg: DictConfig) -> dict[str, float]:
 
     The run folder `cfg.run_dir` gets config.yaml, provenance.json, logs/, history.json, checkpoints/,
     model.safetensors and, last, metrics.json (of the best epoch by `cfg.objective`, and test errors of its weights):
-    where that exists, the run is complete.
+    where that exists, the run is complete. Where the trainer has several devices each gets a process of its own, of
+    which only the first one writes.
 
     Returns:
         the metrics.
 
     Raises:
-        UserError: the training diverged, the disk takes no more, or no checkpoint of a begun run can be read.
+        UserError: the training diverged, the disk takes no more, no checkpoint of a begun run can be read, or the
+            trainer's devices are not to be had.
     """
     run_dir = Path(cfg.run_dir)
     with _disk_errors_told(run_dir):
@@ -51,30 +61,37 @@ def train(cfg: DictConfig) -> dict[str, float]:
 
 def _train(cfg: DictConfig, run_dir: Path) -> dict[str, float]:
     _quiet()
+    set_matmul_precision(cfg.matmul_precision)
     # Said explicitly, so that MKL does not choose another number of threads, and order of sums, from call to call.
     torch.set_num_threads(torch.get_num_threads())
-    L.seed_everything(cfg.seed, verbose=False)
-    with replacing(run_dir / "config.yaml") as temporary:
-        OmegaConf.save(cfg, temporary, resolve=True)
-
-    hand = instantiate(cfg.hand_model)
-    data: GraspDataModule = instantiate(cfg.data, hand=hand)
-    data.prepare_data()
-    data.setup()
-    module: GraspTraining = instantiate(cfg.model, hand=hand, contact=data.contact)
+    data: GraspDataModule = instantiate(cfg.data, hand=instantiate(cfg.hand_model))
     history = History(cfg.objective)
-    trainer: L.Trainer = instantiate(
-        cfg.trainer,
-        default_root_dir=run_dir,
-        callbacks=[history] + [instantiate(c) for c in cfg.callbacks.values() if c is not None],
-        logger=[instantiate(c) for c in cfg.logger.values() if c is not None],
-        plugins=[AtomicCheckpointIO()],
-    )
-    record = provenance(seed=cfg.seed, data=data.record(), hand_sha256=sha256(hand.v_template.numpy()))
-    write_json(run_dir / "provenance.json", record)
+    trainer = _trainer(cfg, history)
+    if trainer.is_global_zero:
+        with replacing(run_dir / "config.yaml") as temporary:
+            OmegaConf.save(cfg, temporary, resolve=True)
+        data.prepare_data()
+        data.setup()
+    log.disabled = not trainer.is_global_zero
+    with together(trainer, run_dir / "config.yaml"):
+        data.setup()
+        return _fit(cfg, run_dir, data, trainer, history)
 
+
+def _fit(
+    cfg: DictConfig, run_dir: Path, data: GraspDataModule, trainer: L.Trainer, history: History
+) -> dict[str, float]:
+    """Each process's part, once the data is there."""
+    L.seed_everything(cfg.seed, verbose=False)
+    module: GraspTraining = instantiate(cfg.model, hand=data.hand, contact=data.contact)
+    if cfg.compile:
+        compile_blocks(module.network)
     checkpoints = run_dir / "checkpoints"
-    resumed = newest_whole(checkpoints) if cfg.resume else None
+    if trainer.is_global_zero:
+        record = provenance(seed=cfg.seed, data=data.record(), hand_sha256=sha256(data.hand.v_template.numpy()))
+        write_json(run_dir / "provenance.json", record)
+        resumed = newest_whole(checkpoints) if cfg.resume else None
+    resumed = trainer.strategy.broadcast(resumed if trainer.is_global_zero else None)
     if resumed:
         log.info("Going on from %s.", resumed)
     trainer.fit(module, datamodule=data, ckpt_path=resumed)
@@ -93,6 +110,19 @@ def _train(cfg: DictConfig, run_dir: Path) -> dict[str, float]:
         write_json(run_dir / METRICS, metrics)
     log.info("Weights, metrics and logs are in %s.", run_dir)
     return metrics
+
+
+def _trainer(cfg: DictConfig, history: History) -> L.Trainer:
+    options = {
+        "default_root_dir": cfg.run_dir,
+        "callbacks": [history] + [instantiate(c) for c in cfg.callbacks.values() if c is not None],
+        "logger": [instantiate(c) for c in cfg.logger.values() if c is not None],
+        "plugins": [AtomicCheckpointIO()] + ([] if started_from_outside() else [OwnProcesses()]),
+    }
+    try:
+        return instantiate(cfg.trainer, **options)
+    except InstantiationException as error:  # such as for want of a GPU
+        raise UserError(f"The trainer cannot be had as configured: {' '.join(str(error.__cause__).split())}") from None
 
 
 @contextmanager
@@ -118,3 +148,12 @@ def _quiet() -> None:
     warnings.filterwarnings("ignore", message=".*does not have many workers.*")
     warnings.filterwarnings("ignore", message=".*Checkpoint directory .* exists and is not empty.*")
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+
+
+if __name__ == "__main__":
+    try:
+        train(OmegaConf.load(sys.argv[1]))
+    except UserError as error:
+        fail(error)
+    except Pruned:  # the first process tells
+        pass

@@ -14,6 +14,7 @@ from grabnet.data.datamodule import GraspDataModule
 from grabnet.geometry.nearest import nearest_point, nearest_point_distance
 from grabnet.geometry.rotations import matrix_to_six_d
 from grabnet.losses.terms import PointWeights, hand_to_object_l1, object_to_hand_l1, vertex_l1
+from grabnet.models.acceleration import compile_blocks, set_matmul_precision
 from grabnet.models.training import CoarseNetTraining, GraspTraining
 
 # All samples of an object, as the published loss compares them.
@@ -56,12 +57,15 @@ class Step:
     def make(cls, settings: Benchmark, overrides: list[str]) -> Step:
         """Step of the networks and data that `configs/train.yaml` and overrides describe."""
         cfg = compose("train", overrides)
+        set_matmul_precision(cfg.matmul_precision)
         torch.manual_seed(settings.seed)
         hand = instantiate(cfg.hand_model)
         data: GraspDataModule = instantiate(cfg.data, hand=hand)
         data.prepare_data()
         data.setup()
         module: GraspTraining = instantiate(cfg.model, hand=hand, contact=data.contact)
+        if cfg.compile:
+            compile_blocks(module.network)
         return cls(data, module.to(settings.device).train())
 
     def full(self) -> None:

@@ -35,7 +35,7 @@ class GraspDataModule(L.LightningDataModule):
         root: of the data set, laid out as GRAB is; the frames store is its folder `frames`.
         objects_dir: folder with one mesh per object, `<name>.ply` (or .obj, .stl, …), in place of the data set's own.
         val_objects, test_objects: names; every other object is for training (spec 3).
-        batch_size: frames per step.
+        batch_size: frames per step, of all processes together.
         object_points: surface samples per object.
         near_points: of these, how many nearest to the hand enter the object→hand loss (published: all).
         measure: hand→object distances are signed, to the "surface"; or unsigned, to the nearest of the "samples".
@@ -135,9 +135,22 @@ class GraspDataModule(L.LightningDataModule):
     def loader(self, split: str, shuffle: bool = False) -> DataLoader:
         """Batches of frame numbers; `on_after_batch_transfer` makes `GraspBatch`es of them on the device.
 
-        No workers: there is nothing to load, so that a step waits for no other process.
+        No workers: there is nothing to load, so that a step waits for no other process. Where a trainer runs in
+        several processes, each gets its share of every batch.
+
+        Raises:
+            UserError: the batch size or the frames cannot be shared among the processes.
         """
-        batches = IndexBatches(len(self._frames[split]), self.batch_size, shuffle, self.seed)
+        rank, world_size = (self.trainer.global_rank, self.trainer.world_size) if self.trainer else (0, 1)
+        n = len(self._frames[split])
+        if self.batch_size % world_size:
+            raise UserError(
+                f"data.batch_size={self.batch_size} cannot be shared evenly among {world_size} processes; "
+                f"make it a multiple of {world_size}."
+            )
+        if n < world_size:
+            raise UserError(f"The {n} {split} frames are too few for {world_size} processes; set trainer.devices={n}.")
+        batches = IndexBatches(n, self.batch_size, shuffle, self.seed, rank, world_size)
         return DataLoader(_FrameNumbers(split), sampler=batches, batch_size=None)
 
     def on_after_batch_transfer(self, batch: tuple[str, Tensor, int], dataloader_idx: int) -> GraspBatch:
@@ -166,14 +179,21 @@ class GraspDataModule(L.LightningDataModule):
 
 
 class IndexBatches(Sampler[tuple[Tensor, int]]):
-    """Batches of numbers 0 … n - 1, each with a seed for its step's noise.
+    """One process's share of batches of numbers 0 … n - 1, each with a seed for its step's noise.
 
-    In order and complete, or shuffled anew each epoch with the short last one dropped. All follows from seed and epoch
-    alone, so that a resumed run goes on as an unbroken one would.
+    Shuffled anew each epoch, in full batches of equal shares, what is left over dropped; or in order and complete, in
+    even pieces, as many in each process. All follows from seed and epoch alone, so that a resumed run goes on as an
+    unbroken one would.
+
+    Args:
+        n: numbers to hand out, at least one per process.
+        batch_size: of all processes together, a multiple of their number.
+        rank, world_size: which process this is, of how many.
     """
 
-    def __init__(self, n: int, batch_size: int, shuffle: bool, seed: int):
-        self.n, self.batch_size, self.shuffle, self.seed = n, min(batch_size, n), shuffle, seed
+    def __init__(self, n: int, batch_size: int, shuffle: bool, seed: int, rank: int = 0, world_size: int = 1):
+        self.n, self.shuffle, self.seed, self.rank, self.world_size = n, shuffle, seed, rank, world_size
+        self.share = min(batch_size, n) // world_size
         self.epoch = 0
 
     def set_epoch(self, epoch: int) -> None:
@@ -181,14 +201,18 @@ class IndexBatches(Sampler[tuple[Tensor, int]]):
         self.epoch = epoch
 
     def __len__(self) -> int:
-        return self.n // self.batch_size if self.shuffle else -(-self.n // self.batch_size)
+        per_process = self.n // self.world_size
+        return per_process // self.share if self.shuffle else -(-per_process // self.share)
 
     def __iter__(self) -> Iterator[tuple[Tensor, int]]:
-        order = torch.arange(self.n)
         if self.shuffle:
             order = torch.randperm(self.n, generator=torch.Generator().manual_seed(hash((self.seed, self.epoch))))
-        for k in range(len(self)):
-            yield order[k * self.batch_size : (k + 1) * self.batch_size], hash((self.seed, self.epoch, k))
+            batches = order[: len(self) * self.share * self.world_size].split(self.share * self.world_size)
+            pieces = [batch[self.rank :: self.world_size] for batch in batches]
+        else:
+            pieces = torch.arange(self.n)[self.rank :: self.world_size].tensor_split(len(self))
+        for k, piece in enumerate(pieces):
+            yield piece, hash((self.seed, self.epoch, k * self.world_size + self.rank))
 
 
 class _FrameNumbers(Dataset):

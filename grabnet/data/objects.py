@@ -35,6 +35,7 @@ class ObjectSet(nn.Module):
         UserError: another `measure`.
 
     Attributes:
+        names, meshes: as given.
         centroids (O, 3): mean of the mesh vertices (spec 3), object frame.
         points (O, n_points, 3): surface samples, object frame, relative to the centroid.
         atlas: signed distances.
@@ -53,7 +54,7 @@ class ObjectSet(nn.Module):
         if measure not in ("surface", "samples"):
             raise UserError(f"data.measure is '{measure}'; it can be surface or samples.")
         self.measure = measure
-        self.names = list(names)
+        self.names, self.meshes = list(names), list(meshes)
         self.sha256 = sha256(*(mesh.sha256 for mesh in meshes))
         centroids = torch.stack([torch.as_tensor(mesh.centroid, dtype=torch.float32) for mesh in meshes])
         points = [torch.as_tensor(mesh.sample_surface(n_points, seed)[0], dtype=torch.float32) for mesh in meshes]
@@ -85,6 +86,10 @@ class ObjectSet(nn.Module):
         """Distances (B, N) in metres of world points (B, N, 3), as `measure` says; arguments as in `to_object`."""
         if self.measure == "samples":
             return nearest_point_distance(points, self.points[objects] @ rotations.mT)
+        return self.signed_distances(points, objects, rotations)
+
+    def signed_distances(self, points: Tensor, objects: Tensor, rotations: Tensor) -> Tensor:
+        """Signed distances (B, N) to the surface, whatever `measure` is; arguments as in `to_object`."""
         return self.atlas(self.to_object(points, objects, rotations), objects)
 
 

@@ -12,7 +12,7 @@ from torch.nn import functional as F
 from grabnet.body.hand import HandParameters
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.rotations import matrix_to_six_d, six_d_to_matrix
-from grabnet.models.layers import ResidualBlock, concatenate
+from grabnet.models.layers import BatchNorm, ResidualBlock, concatenate
 from grabnet.models.published import COARSENET, PublishedWeights
 
 
@@ -35,13 +35,13 @@ class CoarseNet(nn.Module):
         self.latent_dim = latent_dim
         n_bps = len(bps.basis)
         n_encoder, n_decoder = n_bps + 12, n_bps + latent_dim
-        self.encoder_norm = nn.BatchNorm1d(n_encoder)
+        self.encoder_norm = BatchNorm(n_encoder)
         self.encoder1 = ResidualBlock(n_encoder, width, n_hidden)
         self.encoder2 = ResidualBlock(n_encoder + width, width, n_hidden)
         self.mean = nn.Linear(width, latent_dim)
         self.deviation = nn.Linear(width, latent_dim)
 
-        self.decoder_norm = nn.BatchNorm1d(n_bps)
+        self.decoder_norm = BatchNorm(n_bps)
         self.decoder1 = ResidualBlock(n_decoder, width, n_hidden)
         self.decoder2 = ResidualBlock(n_decoder + width, width, n_hidden)
         self.pose = nn.Linear(width, n_joints * 6)

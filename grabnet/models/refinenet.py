@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.geometry.rotations import matrix_to_six_d, six_d_to_matrix
-from grabnet.models.layers import ResidualBlock, concatenate
+from grabnet.models.layers import BatchNorm, ResidualBlock, concatenate
 from grabnet.models.published import REFINENET, PublishedWeights
 
 
@@ -33,7 +33,7 @@ class RefineNet(nn.Module):
         self.iterations = iterations
         n_vertices, n_joints = len(hand.v_template), len(hand.parents)
         n_in = n_vertices + n_joints * 6 + 3
-        self.distance_norm = nn.BatchNorm1d(n_vertices)
+        self.distance_norm = BatchNorm(n_vertices)
         self.block1 = ResidualBlock(n_in, width, n_hidden)
         self.block2 = ResidualBlock(n_in + width, width, n_hidden)
         self.block3 = ResidualBlock(n_in + width, width, n_hidden)

@@ -40,6 +40,9 @@ class GraspTraining(L.LightningModule):
         super().__init__()
         self.network, self.loss, self.hand = network, loss, hand
         self.make_optimizer, self.make_scheduler = optimizer, scheduler
+        # Several processes start from the same weights, sent by the first; all else is alike in them, and sparse
+        # tensors cannot be sent. (The name is torch's and Lightning's.)
+        self._ddp_params_and_buffers_to_ignore = [n for n, _ in self.named_buffers() if not n.startswith("network.")]
 
     @property
     def networks(self) -> dict[str, nn.Module]:
@@ -61,6 +64,10 @@ class GraspTraining(L.LightningModule):
         for schedule in self.trainer.lr_scheduler_configs:
             if schedule.reduce_on_plateau and schedule.monitor in self.trainer.callback_metrics:
                 schedule.scheduler.step(self.trainer.callback_metrics[schedule.monitor])
+
+    def grasp(self, batch: GraspBatch) -> Tensor:
+        """Vertices (B, V, 3) of grasps as the network makes them in use, for a batch's objects and hand shapes."""
+        raise NotImplementedError
 
     def reconstruct(self, batch: GraspBatch) -> tuple[Tensor, dict[str, Tensor]]:
         """Predicted vertices (B, V, 3) and the weighted loss terms of a batch."""
@@ -95,7 +102,7 @@ class GraspTraining(L.LightningModule):
             value,
             on_step=False,
             on_epoch=True,
-            batch_size=len(batch),
+            batch_size=len(batch) * self.trainer.world_size,  # Lightning takes its mean over processes as an integer
             add_dataloader_idx=False,
             sync_dist=True,
             **options,
@@ -129,6 +136,10 @@ class CoarseNetTraining(GraspTraining):
     ):
         network = CoarseNet(bps, latent_dim, width, n_hidden, n_joints=len(hand.parents))
         super().__init__(network, loss(hand=hand, contact=contact), hand, optimizer, scheduler)
+
+    def grasp(self, batch: GraspBatch) -> Tensor:
+        """From random codes."""
+        return self.hand(self.network.sample(batch.features(self.network.bps)), batch.rest).vertices
 
     def reconstruct(self, batch: GraspBatch) -> tuple[Tensor, dict[str, Tensor]]:
         hand, posterior = self.network(batch.features(self.network.bps), batch.hand.global_orient, batch.hand.transl)
@@ -167,9 +178,13 @@ class RefineNetTraining(GraspTraining):
         super().__init__(network, loss(hand=hand, contact=contact), hand, optimizer, scheduler)
         self.source = source
 
-    def reconstruct(self, batch: GraspBatch) -> tuple[Tensor, dict[str, Tensor]]:
+    def grasp(self, batch: GraspBatch) -> Tensor:
+        """Refined from what the source gives."""
         hand = self.network(self.source(batch), batch.measure, batch.rest)
-        vertices = self.hand(hand, batch.rest).vertices
+        return self.hand(hand, batch.rest).vertices
+
+    def reconstruct(self, batch: GraspBatch) -> tuple[Tensor, dict[str, Tensor]]:
+        vertices = self.grasp(batch)
         return vertices, self.loss(vertices, batch)
 
 
@@ -207,6 +222,12 @@ class GrabNetTraining(GraspTraining):
     @property
     def networks(self) -> dict[str, nn.Module]:
         return dict(self.network)
+
+    def grasp(self, batch: GraspBatch) -> Tensor:
+        """From random codes, refined."""
+        coarsenet, refinenet = self.network["coarsenet"], self.network["refinenet"]
+        guess = coarsenet.sample(batch.features(coarsenet.bps))
+        return self.hand(refinenet(guess, batch.measure, batch.rest), batch.rest).vertices
 
     def reconstruct(self, batch: GraspBatch) -> tuple[Tensor, dict[str, Tensor]]:
         coarsenet, refinenet = self.network["coarsenet"], self.network["refinenet"]

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import lightning as L
 import pytest
 import torch
 from scipy.spatial import cKDTree
@@ -102,6 +103,41 @@ def test_shuffled_batches_cover_all_once_and_repeat_by_epoch():
 
 def test_evaluation_drops_no_frame():
     assert torch.cat([index for index, _ in IndexBatches(50, 16, shuffle=False, seed=0)]).tolist() == list(range(50))
+
+
+@pytest.mark.parametrize("world_size", [2, 3])
+def test_processes_share_every_training_batch(world_size):
+    whole = [index for index, _ in IndexBatches(50, 12, shuffle=True, seed=4)]
+    shares = [list(IndexBatches(50, 12, True, 4, rank, world_size)) for rank in range(world_size)]
+    for k, batch in enumerate(whole):
+        parts = [share[k][0] for share in shares]
+        assert {len(part) for part in parts} == {12 // world_size}
+        assert sorted(torch.cat(parts).tolist()) == sorted(batch.tolist())
+    assert {len(share) for share in shares} == {len(whole)}
+    assert len({seed for share in shares for _, seed in share}) == world_size * len(whole)
+
+
+@pytest.mark.parametrize(("n", "batch_size", "world_size"), [(50, 12, 3), (11, 4, 2), (5, 2, 2), (3, 8, 2), (2, 2, 2)])
+def test_processes_evaluate_every_frame_once_in_as_many_batches(n, batch_size, world_size):
+    shares = [[i for i, _ in IndexBatches(n, batch_size, False, 0, rank, world_size)] for rank in range(world_size)]
+    assert sorted(torch.cat([i for share in shares for i in share]).tolist()) == list(range(n))
+    assert len({len(share) for share in shares}) == 1
+    assert all(0 < len(i) <= batch_size // world_size + 1 for share in shares for i in share)
+
+
+@pytest.mark.parametrize(
+    ("batch_size", "devices", "sentence"),
+    [
+        (16, 3, "data.batch_size=16 cannot be shared evenly among 3 processes; make it a multiple of 3"),
+        (100, 100, "The 96 train frames are too few for 100 processes; set trainer.devices=96"),
+    ],
+)
+def test_what_processes_cannot_share_is_an_error(batch_size, devices, sentence, tiny_dataset, hand, cache_dir):
+    data = GraspDataModule(hand, str(tiny_dataset), **SPLIT, batch_size=batch_size, cache_dir=str(cache_dir))
+    data.setup()
+    data.trainer = L.Trainer(accelerator="cpu", devices=devices, strategy="ddp", logger=False)
+    with pytest.raises(UserError, match=sentence):
+        data.train_dataloader()
 
 
 def test_missing_meshes_are_named(tiny_dataset, hand, tmp_path, cache_dir):

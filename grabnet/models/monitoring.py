@@ -1,0 +1,118 @@
+"""What is watched while a network trains: the grasps it makes of validation objects, and how fast it goes."""
+
+from __future__ import annotations
+
+import logging
+import time
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import numpy as np
+import torch
+from lightning.pytorch.loggers import WandbLogger
+from torch import Tensor
+
+from grabnet.body.anatomy import Anatomy
+from grabnet.data.batches import GraspBatch
+from grabnet.data.datamodule import GraspDataModule
+from grabnet.grasps import Contacts
+from grabnet.models.training import GraspTraining
+from grabnet.visual.grasp_sheet import both_sides
+from grabnet.visual.pictures import SKIN, Shape, can_render, contact_sheet, save_image
+
+log = logging.getLogger(__name__)
+
+
+class GraspMonitor(L.Callback):
+    """The same grasps of validation objects, measured each epoch as `val_grasps/…` and drawn every few.
+
+    CoarseNet's are from random codes, RefineNet's from what it learns from (disturbed true grasps); codes and
+    disturbances never change. The random numbers of training are left as they are.
+
+    Args:
+        grasps: how many are measured: one for each of so many validation frames, evenly spaced.
+        pictures: how many of them are drawn.
+        draw_every_n_epochs: between two pictures.
+        folder: gets `epoch_XXXX.png`; wandb gets the same picture where that logger is chosen.
+        seed: of codes and disturbances.
+    """
+
+    def __init__(self, grasps: int, pictures: int, draw_every_n_epochs: int, folder: str, seed: int):
+        self.n_grasps, self.n_pictures, self.draw_every_n_epochs = grasps, pictures, draw_every_n_epochs
+        self.folder, self.seed = Path(folder), seed
+        self.finger: Tensor | None = None
+
+    @torch.no_grad()
+    def on_validation_epoch_end(self, trainer: L.Trainer, pl_module: GraspTraining) -> None:
+        data: GraspDataModule = trainer.datamodule
+        device = pl_module.device
+        chosen = _evenly(self.n_grasps, len(data.frames("val")))
+        with torch.random.fork_rng([device] if device.type == "cuda" else []):
+            torch.manual_seed(self.seed)
+            batch = data.assemble("val", chosen.to(device))
+            vertices = pl_module.grasp(batch)
+        if self.finger is None:
+            self.finger = Anatomy.of(data.hand).finger
+        contacts = Contacts(
+            distances=batch.object_set.signed_distances(vertices, batch.objects, batch.rotations),
+            finger=self.finger.to(device),
+            contact_distance=data.contact_distance,
+        )
+        figures = {
+            "max_penetration_mm": 1000 * contacts.max_penetration,
+            "pinched": contacts.pinched.float(),
+            "contact_vertices": contacts.contact_vertices.sum(1).float(),
+        }
+        for name, values in figures.items():
+            pl_module.log(f"val_grasps/{name}", values.mean(), batch_size=1, sync_dist=True)  # alike in all processes
+        due = (trainer.current_epoch + 1) % self.draw_every_n_epochs == 0
+        if due and self.n_pictures and trainer.is_global_zero:
+            self._draw(trainer, batch, vertices, contacts, data.hand.faces)
+
+    def _draw(self, trainer: L.Trainer, batch: GraspBatch, vertices: Tensor, contacts: Contacts, faces: Tensor) -> None:
+        if reason := can_render():
+            log.warning(reason)
+            self.n_pictures = 0
+            return
+        tiles, captions = [], []
+        for k in _evenly(self.n_pictures, len(batch)).tolist():
+            number = int(batch.objects[k])
+            mesh = batch.object_set.meshes[number]
+            solid = (mesh.vertices - mesh.centroid) @ batch.rotations[k].mT.cpu().numpy()
+            hand = Shape(vertices[k].cpu(), faces.cpu(), SKIN)
+            tiles.append(both_sides(Shape(solid, mesh.faces), hand, np.array([0.0, 0, 1]), np.array([0.0, 1, 0]), 200))
+            captions.append(f"{batch.object_set.names[number]}: {1000 * contacts.max_penetration[k]:.1f} mm deep")
+        sheet = contact_sheet(tiles, captions)
+        save_image(self.folder / f"epoch_{trainer.current_epoch:04d}.png", sheet)
+        for logger in trainer.loggers:
+            if isinstance(logger, WandbLogger):
+                logger.log_image("val_grasps/pictures", [sheet], step=trainer.global_step)
+
+
+class SpeedMonitor(L.Callback):
+    """Mean time of a training step and frames per second, over the steps of each epoch: `speed/…`.
+
+    Waits for the device once an epoch, at its last step, not in between.
+    """
+
+    def on_train_epoch_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        self.frames, self.steps, self.start = 0, 0, time.perf_counter()
+
+    def on_train_batch_end(
+        self, trainer: L.Trainer, pl_module: L.LightningModule, outputs: Any, batch: GraspBatch, batch_idx: int
+    ) -> None:
+        self.frames += len(batch) * trainer.world_size
+        self.steps += 1
+        if trainer.is_last_batch:
+            if pl_module.device.type == "cuda":
+                torch.cuda.synchronize(pl_module.device)
+            seconds = time.perf_counter() - self.start
+            figures = {"speed/step_ms": 1000 * seconds / self.steps, "speed/frames_per_s": self.frames / seconds}
+            for logger in trainer.loggers:  # only told: no metric of the epoch, which would be another in every run
+                logger.log_metrics(figures | {"epoch": trainer.current_epoch}, step=trainer.global_step)
+
+
+def _evenly(n: int, of: int) -> Tensor:
+    """Up to n of the numbers 0 … of - 1, evenly spaced."""
+    return torch.linspace(0, of - 1, min(n, of), dtype=torch.float64).round().long()
