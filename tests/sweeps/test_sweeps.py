@@ -10,7 +10,6 @@ from collections.abc import Callable
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
-import pytest
 from PIL import Image
 
 from grabnet.history import read_history
@@ -93,7 +92,6 @@ def test_a_search_goes_on_where_it_was_killed(tiny_dataset, tmp_path, cache_dir)
 
 
 def test_an_interrupted_cluster_job_is_requeued_and_goes_on(tiny_dataset, tmp_path, cache_dir):
-    pytest.importorskip("submitit")
     sweep, output = tmp_path / "sweep", tmp_path / "output.txt"
     more = ("trainer.max_epochs=10", "callbacks.early_stopping=null", "test=false")
     tiny = tiny_overrides(tiny_dataset, None, cache_dir, "coarsenet", *more)
