@@ -9,6 +9,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from rich.console import Console
 from rich.table import Table
 
@@ -91,18 +92,18 @@ def _curves(panel: Axes, runs: Sequence[Run], objective: str) -> None:
         panel.plot([], [], color=colour, label=f"{len(those)} {status}")
         for run in those:
             epochs = [epoch for epoch in read_history(run.folder) if objective in epoch]
-            panel.plot([e["epoch"] + 1 for e in epochs], [e[objective] for e in epochs], color=colour, alpha=0.6)
-    panel.set(xlabel="epoch", ylabel=objective)
+            panel.plot([e["epoch"] + 1 for e in epochs], [e[objective] for e in epochs], ".-", color=colour, alpha=0.6)
+    panel.set(xlabel="epoch", ylabel=objective, yscale=_scale(panel.dataLim.intervaly))
+    panel.xaxis.set_major_locator(MaxNLocator(integer=True))
     panel.legend(frameon=False)
 
 
 def _scatter(panel: Axes, runs: Sequence[Run], key: str, objective: str) -> None:
-    """Numbers at their place, other values at equal distances; logarithmic where they span more than a decade."""
+    """Numbers at their place, other values at equal distances."""
     values = [run.values[key] for run in runs]
     try:
         places = [float(value) for value in values]
-        if min(places) > 0 and max(places) > 10 * min(places):
-            panel.set_xscale("log")
+        panel.set_xscale(_scale(places))
     except ValueError:
         names = list(dict.fromkeys(values))
         places = [float(names.index(value)) for value in values]
@@ -112,4 +113,9 @@ def _scatter(panel: Axes, runs: Sequence[Run], key: str, objective: str) -> None
             panel.plot(place, best[objective], "o", color=COLOURS[run.status], alpha=0.8)
         else:  # nothing measured: a cross at the foot
             panel.plot(place, 0.02, "x", color=COLOURS[run.status], transform=panel.get_xaxis_transform())
-    panel.set(xlabel=key, ylabel=f"best {objective}")
+    panel.set(xlabel=key, ylabel=f"best {objective}", yscale=_scale(panel.dataLim.intervaly))
+
+
+def _scale(values: Sequence[float]) -> str:
+    """Logarithmic where positive numbers span more than a decade."""
+    return "log" if min(values) > 0 and max(values) > 10 * min(values) else "linear"

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
-import pytest
 from PIL import Image
 
 from grabnet.history import read_history
@@ -93,9 +92,8 @@ def test_a_search_goes_on_where_it_was_killed(tiny_dataset, tmp_path, cache_dir)
 
 
 def test_an_interrupted_cluster_job_is_requeued_and_goes_on(tiny_dataset, tmp_path, cache_dir):
-    pytest.importorskip("submitit")
     sweep, output = tmp_path / "sweep", tmp_path / "output.txt"
-    more = ("trainer.max_epochs=20", "callbacks.early_stopping=null", "test=false")
+    more = ("trainer.max_epochs=10", "callbacks.early_stopping=null", "test=false")
     tiny = tiny_overrides(tiny_dataset, None, cache_dir, "coarsenet", *more)
     process = start(["-m", "seed=3", "hydra/launcher=submitit_local", f"sweep_dir={sweep}", *tiny], output)
     wait_for(lambda: list(sweep.glob("*/checkpoints/last.ckpt")), process, output)
@@ -106,5 +104,5 @@ def test_an_interrupted_cluster_job_is_requeued_and_goes_on(tiny_dataset, tmp_pa
     assert process.exitcode == 0, output.read_text()
     (run,) = table(sweep)
     assert run["status"] == "done"
-    assert [epoch["epoch"] for epoch in read_history(sweep / run["folder"])] == list(range(20))
+    assert [epoch["epoch"] for epoch in read_history(sweep / run["folder"])] == list(range(10))
     assert "Going on from" in (sweep / run["folder"] / "train.log").read_text()
