@@ -45,7 +45,7 @@ def build_grasps(
     if per_object < 1 or processes < 1:
         raise UserError(f"--per-object {per_object} and --processes {processes} must be at least 1.")
     if importlib.util.find_spec("mujoco") is None:
-        raise UserError('Grasps are checked in MuJoCo, which is not installed: pip install "grabnet[physics]".')
+        raise UserError('Grasps are checked in MuJoCo, which is not installed: pip install "grabnet[evaluation]".')
     config = SynthesisConfig(per_object=per_object)
     console = Console()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
