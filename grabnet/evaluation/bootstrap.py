@@ -56,7 +56,12 @@ def mean(groups: Sequence[np.ndarray], draws: int, seed: int) -> Estimate:
 
 
 def statistic(n: int, of: Callable[[np.ndarray], float], draws: int, seed: int) -> Estimate:
-    """Any function of which of n grasps are taken, and how often each."""
+    """Any function of which of n grasps are taken, and how often each.
+
+    The redrawings are moved to have the value as their mean: many functions, such as an entropy, are biased when some
+    grasps are taken twice and others not at all.
+    """
     rng = np.random.default_rng(seed)
     drawn = np.array([of(rng.integers(n, size=n)) for _ in range(draws)])
-    return Estimate(of(np.arange(n)), drawn, n)
+    value = of(np.arange(n))
+    return Estimate(value, drawn + (value - drawn.mean()), n)

@@ -57,7 +57,7 @@ class Cache:
     def write(self, path: Path, arrays: Arrays, rows: Sequence[str] = ()) -> None:
         try:
             with replacing(path) as temporary:
-                contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+                contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
                 save_file(contiguous, temporary, {"rows": json.dumps(list(rows))})
         except OSError as error:
             warnings.warn(f"{path} cannot be written ({error}): it is made anew next time.", stacklevel=2)

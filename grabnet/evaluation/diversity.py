@@ -1,4 +1,4 @@
-"""Protocols `diversity`, `novelty` and `coverage`: how varied grasps are, how new, and what part of the true they reach."""
+"""Protocols `diversity`, `novelty` and `coverage`: how varied grasps are, how new, and how many true ones they reach."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ N_CLUSTERS = 20
 
 METRICS = (
     Metric("diversity", "entropy", "nats", f"of the {N_CLUSTERS} clusters' shares; at most 3.00", "higher"),
-    Metric("diversity", "cluster_size", "cm", "mean distance of the 63-D keypoints to their cluster's centre", "higher"),
+    Metric(
+        "diversity", "cluster_size", "cm", "mean distance of the 63-D keypoints to their cluster's centre", "higher"
+    ),
     Metric("novelty", "distance", "cm", "mean distance of the 21 keypoints to those of the nearest training grasp"),
     Metric("coverage", "reached", "%", "held-out true grasps that are the nearest one of some grasp", "higher"),
 )

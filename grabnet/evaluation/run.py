@@ -233,7 +233,9 @@ def evaluate(wanted: Evaluation) -> None:
             folder = output / "contact" / row.name.lower().replace(" + ", "_").replace(" ", "_")
             write_maps(folder, name, material.meshes[name], hands, row.results[name]["maps"], wanted.scenes)
     write_report(output / "report.html", findings, wanted.pictures, material.cache)
-    print(f"{output / 'report.html'} shows what was found; figures are in metrics.json, metrics.csv and tables.tex there")
+    print(
+        f"{output / 'report.html'} shows what was found; figures are in metrics.json, metrics.csv and tables.tex there"
+    )
 
 
 def _rows(material: Material, networks: Networks) -> list[Row]:
@@ -330,7 +332,9 @@ def _reconstruction(material: Material, networks: Networks) -> list[Errors]:
 
     def find() -> dict[str, np.ndarray]:
         material.data.setup()
-        refinenet = load_refinenet(networks.files["refinenet"], material.hand) if "refinenet" in networks.files else None
+        refinenet = (
+            load_refinenet(networks.files["refinenet"], material.hand) if "refinenet" in networks.files else None
+        )
         coarsenet, source = load_coarsenet(networks.files["coarsenet"]), instantiate(wanted.source)
         errors = list(reconstruction(material.data, material.hand, coarsenet, refinenet, source))
         return {"errors": np.frombuffer(json.dumps(errors).encode(), np.uint8)}
