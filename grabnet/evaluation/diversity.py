@@ -1,4 +1,4 @@
-"""Protocols `diversity`, `novelty` and `coverage`: how varied grasps are, how new, and how many true ones they reach."""
+"""Protocols `diversity`, `novelty` and `coverage`: how varied grasps are, how new, how many true ones they reach."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class FingerContact:
         within = f"inside the object or within {1000 * distance:g} mm of it"
         self.metrics = (
             Metric("contact", "area", "cm²", f"skin {within}"),
-            Metric("contact", "fingers", "", f"fingers with a vertex {within}", "higher"),
+            Metric("contact", "fingers", "", f"fingers with a vertex {within}"),
             Metric("contact", "pinched", "%", "share of grasps in which the thumb and another finger touch", "higher"),
             *(Metric("contact", f"touches_{p}", "%", f"share of grasps in which the {p} touches") for p in PARTS),
             *(Metric("contact", f"area_{p}", "cm²", f"skin of the {p} {within}") for p in PARTS),

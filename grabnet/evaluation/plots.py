@@ -18,6 +18,7 @@ from grabnet.evaluation.summary import Figure, Row, find
 # Ground truth, baseline, networks, then what else there is.
 COLOURS = ("#3f7d58", "#98a2ad", "#e3a64b", "#c5523f", "#4b6a9b", "#8a5a9e", "#3b8f9c", "#7a6a53")
 _INK, _FAINT = "#28323c", "#d9dee3"
+_SIZE = 8.5  # points, of the text
 
 
 def intervals(found: Sequence[Figure], rows: Sequence[Row], metrics: Sequence[Metric]) -> str:
@@ -35,7 +36,7 @@ def intervals(found: Sequence[Figure], rows: Sequence[Row], metrics: Sequence[Me
         axis.set_yticks(range(len(rows)), [row.name for row in rows] if first else [""] * len(rows))
         axis.set_ylim(len(rows) - 0.5, -0.5)
         arrow = {"lower": " ←", "higher": " →"}.get(metric.better or "", "")
-        axis.set_title(f"{metric.title}{f' [{metric.unit}]' if metric.unit else ''}{arrow}", loc="left")
+        _entitle(axis, f"{metric.title}{f' [{metric.unit}]' if metric.unit else ''}{arrow}")
         axis.grid(axis="y", visible=False)
     return _svg(canvas, axes[len(metrics) :])
 
@@ -54,7 +55,7 @@ def distributions(rows: Sequence[Row], metrics: Sequence[Metric], objects: Seque
                 highest = max(highest, float(np.quantile(values, 0.98)))
         axis.set_xlim(0, highest or 1)
         axis.set_ylim(0, 100)
-        axis.set_title(f"{metric.title}{f' [{metric.unit}]' if metric.unit else ''}", loc="left")
+        _entitle(axis, f"{metric.title}{f' [{metric.unit}]' if metric.unit else ''}")
         if axis.get_subplotspec().is_first_col():
             axis.set_ylabel("% of grasps at or below")
     _legend(canvas, axes[0])
@@ -77,19 +78,17 @@ def fingers(found: Sequence[Figure], rows: Sequence[Row], metrics: Sequence[Metr
                     axis.plot([place, place], estimate.interval, color=_INK, linewidth=0.8)
         axis.set_xticks(range(len(PARTS)), PARTS)
         axis.grid(axis="x", visible=False)
-    axes[0].set_title("contact/touches_… [% of grasps]", loc="left")
-    axes[1].set_title("contact/area_… [cm²]", loc="left")
+    _entitle(axes[0], "contact/touches_… [% of grasps]")
+    _entitle(axes[1], "contact/area_… [cm²]")
     _legend(canvas, axes[0])
     return _svg(canvas)
 
 
 def _canvas(lines: int, columns: int, height: float) -> tuple[Canvas, list[Axes]]:
     style = {
-        "font.size": 8.5,
-        "axes.titlesize": 8.5,
+        "font.size": _SIZE,
         "axes.edgecolor": _FAINT,
         "axes.labelcolor": _INK,
-        "axes.titlecolor": _INK,
         "xtick.color": _INK,
         "ytick.color": _INK,
         "xtick.major.size": 0,
@@ -107,9 +106,13 @@ def _canvas(lines: int, columns: int, height: float) -> tuple[Canvas, list[Axes]
     return canvas, axes
 
 
+def _entitle(axis: Axes, title: str) -> None:
+    axis.set_title(title, loc="left", fontsize=_SIZE, color=_INK)
+
+
 def _legend(canvas: Canvas, axis: Axes) -> None:
     handles, labels = axis.get_legend_handles_labels()
-    canvas.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False, fontsize=8.5)
+    canvas.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False, fontsize=_SIZE)
 
 
 def _svg(canvas: Canvas, unused: Sequence[Axes] = ()) -> str:

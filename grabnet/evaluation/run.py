@@ -242,8 +242,8 @@ def _rows(material: Material, networks: Networks) -> list[Row]:
     wanted = material.wanted
     truth = {name: ground_truth_row(hands, wanted.n, wanted.seed) for name, hands in material.truth.items()}
     rows = [
-        Row(GROUND_TRUTH, "recorded grasps of the object, at random, held-out recordings apart", 0, truth),
-        Row(BASELINE, "training grasps of the object with the most similar BPS, put in the same place", 3, {}),
+        Row(GROUND_TRUTH, "recorded grasps of the object, at random, held-out recordings apart", 0, truth, True),
+        Row(BASELINE, "training grasps of the object with the most similar BPS, put in the same place", 3, {}, True),
     ]
     files = [material.files[name] for name in material.training_objects]
     for name, mesh in material.meshes.items():

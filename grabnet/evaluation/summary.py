@@ -15,6 +15,8 @@ from grabnet.evaluation.hands import Hands
 from grabnet.evaluation.metrics import Metric
 
 ALL = "all"
+# Of these protocols true hands, wherever they are put, are the measure, not what should come out worse or better.
+OF_HANDS_ALONE = ("posture", "diversity", "novelty")
 
 
 @dataclass(eq=False)
@@ -25,6 +27,7 @@ class Row:
         name: in the tables. about: a sentence.
         rank: rows of a lower one should come out better; None where nothing is expected.
         hands: by object.
+        true_hands: whether the hands are recorded ones, if only moved.
         results: by object, then protocol: an array for each metric, whose first dimension is the grasps'.
         clusters: of the hands of all objects together.
     """
@@ -33,6 +36,7 @@ class Row:
     about: str
     rank: int | None
     hands: dict[str, Hands]
+    true_hands: bool = False
     results: dict[str, dict[str, Arrays]] = field(default_factory=dict)
     clusters: Clusters | None = None
 
@@ -89,20 +93,24 @@ def find(found: Sequence[Figure], metric: Metric, row: str, thing: str = ALL) ->
 
 
 def surprises(found: Sequence[Figure], rows: Sequence[Row], metrics: Sequence[Metric]) -> list[str]:
-    """A sentence for every two rows that come out in the other order than they should, by more than chance."""
+    """A sentence for every two rows that come out in the other order than they should, by more than chance: in which
+    metrics, and how."""
     sentences = []
-    for metric in metrics:
-        for one, other in combinations(rows, 2):
-            if metric.better is None or None in (one.rank, other.rank) or one.rank == other.rank:
+    for one, other in combinations(rows, 2):
+        if None in (one.rank, other.rank) or one.rank == other.rank:
+            continue
+        good, bad = (one, other) if one.rank < other.rank else (other, one)
+        where = []
+        for metric in metrics:
+            if metric.better is None or (metric.protocol in OF_HANDS_ALONE and (good.true_hands or bad.true_hands)):
                 continue
-            good, bad = (one, other) if one.rank < other.rank else (other, one)
             a, b = find(found, metric, good.name), find(found, metric, bad.name)
-            if a is None or b is None:
-                continue
-            if (a.above(b)) if metric.better == "lower" else (b.above(a)):
-                better, worse = (f"{e.value:.3g} {metric.unit}".strip() for e in (b, a))
-                sentences.append(
-                    f"{metric.title}: {bad.name} ({better}) comes out better than {good.name} ({worse}), "
-                    f"by more than chance."
+            if a and b and (a.above(b) if metric.better == "lower" else b.above(a)):
+                where.append(
+                    f"{metric.title} ({b.value:.3g} against {a.value:.3g}{f' {metric.unit}' if metric.unit else ''})"
                 )
+        if where:
+            sentences.append(
+                f"{bad.name} comes out better than {good.name}, by more than chance, in {', '.join(where)}."
+            )
     return sentences

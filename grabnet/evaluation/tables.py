@@ -40,10 +40,13 @@ def headlines(metrics: Sequence[Metric]) -> list[Metric]:
 
 
 def digits(value: float) -> str:
-    """A number with three digits that count."""
+    """A number with three digits that count, and not more than three after the point."""
     if not math.isfinite(value):
         return "–"
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"
+    size = abs(value)
+    if size < 0.0005:
+        return "0"
+    return f"{value:.{0 if size >= 99.95 else 1 if size >= 9.995 else 2 if size >= 0.0995 else 3}f}"
 
 
 def write_json_tables(path: Path, findings: Findings) -> None:
