@@ -137,7 +137,7 @@ class Grabber(nn.Module):
             pose = poses[chosen]
 
             def distances(vertices: Tensor, pose: Tensor = pose) -> Tensor:
-                return atlas(vertices @ pose + centroid, objects[: len(pose)])
+                return atlas(vertices, objects[: len(pose)], pose, centroid.expand(len(pose), 3))
 
             hands = self.coarsenet.decode(z, bps[chosen])
             if self.refinenet is not None:
