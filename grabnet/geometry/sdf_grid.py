@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
-import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from grabnet.cache import default_cache, load_or_build
 from grabnet.files import replacing, sha256
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
@@ -97,17 +96,7 @@ class SDFGrid:
         config = config or AtlasConfig()
         key = sha256(mesh.sha256, json.dumps(asdict(config), sort_keys=True), str(FORMAT))
         path = Path(cache_dir or default_cache()) / f"sdf-{key[:32]}.safetensors"
-        if path.exists():
-            try:
-                return cls.load(path)
-            except (SafetensorError, OSError, KeyError, ValueError, TypeError) as error:
-                warnings.warn(f"The cached grid {path} is damaged ({error}); it is built anew.", stacklevel=2)
-        grid = cls.build(mesh, config, device)
-        try:
-            grid.save(path)
-        except OSError as error:
-            warnings.warn(f"{path} cannot be written ({error}): this grid is built anew next time.", stacklevel=2)
-        return grid
+        return load_or_build(path, cls.load, lambda: cls.build(mesh, config, device), cls.save)
 
     def save(self, path: str | Path) -> None:
         """Write as safetensors, atomically."""
@@ -130,13 +119,6 @@ class SDFGrid:
                 (x, y, z), spacing = json.loads(lattices[name])
                 levels.append(Level((float(x), float(y), float(z)), float(spacing), file.get_tensor(name)))
         return cls(*levels)
-
-
-def default_cache() -> Path:
-    """Folder for what can be computed again: `$GRABNET_CACHE`, or `grabnet` in the user's cache folder."""
-    if chosen := os.environ.get("GRABNET_CACHE"):
-        return Path(chosen)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "grabnet"
 
 
 def _lattice(low: np.ndarray, high: np.ndarray, nodes: int, stride: int) -> tuple[Tensor, float, tuple[int, int, int]]:

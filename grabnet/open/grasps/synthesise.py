@@ -16,6 +16,8 @@ from torch import Tensor
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
+from grabnet.evaluation.hand_pieces import hand_pieces
+from grabnet.evaluation.simulation import RigidBody
 from grabnet.open.grasps.checks import AcceptanceConfig, Measures, measure, verdicts
 from grabnet.open.grasps.energy import EnergyConfig
 from grabnet.open.grasps.optimise import OptimiserConfig, optimise
@@ -23,7 +25,7 @@ from grabnet.open.grasps.posing import GraspHand, GraspPose
 from grabnet.open.grasps.posture import PostureConfig
 from grabnet.open.grasps.proposals import KIND_NAMES, ProposalConfig, propose
 from grabnet.open.grasps.scene import Scene
-from grabnet.open.grasps.stability import RigidObject, StabilityConfig, hand_pieces, holds
+from grabnet.open.grasps.stability import StabilityConfig, cut, holds
 from grabnet.open.grasps.templates import Template, TemplateConfig, build_templates
 from grabnet.open.objects import OBJECTS
 
@@ -140,7 +142,7 @@ def grasp_object(
     for position, subject in enumerate(subjects):
         quota = config.per_object * (position + 1) // len(subjects) - config.per_object * position // len(subjects)
         hand = GraspHand(hand_model, anatomy, betas[subject])
-        pieces = hand_pieces(hand)
+        pieces = hand_pieces(hand.weights.numpy(), hand.rest.numpy())
         left = {True: round(quota * config.proposals.on_table)}  # on the table
         left[False] = quota - left[True]  # held
         for _ in range(config.max_rounds):
@@ -196,11 +198,11 @@ class _Batch(NamedTuple):
     measures: Measures
 
 
-def _rigid(scene: Scene, config: StabilityConfig) -> RigidObject:
+def _rigid(scene: Scene, config: StabilityConfig) -> RigidBody:
     points = torch.tensor(scene.mesh.vertices)
     inward = -torch.tensor(scene.mesh.trimesh().vertex_normals.copy(), dtype=torch.float32)
     first_exit = torch.zeros(len(points), dtype=torch.bool)
-    return RigidObject.of(scene.mesh, scene.thickness(points, inward, first_exit, reach=0.012).numpy(), config)
+    return cut(scene.mesh, scene.thickness(points, inward, first_exit, reach=0.012).numpy(), config)
 
 
 def _gather(scene: Scene, kept: list[_Batch], counts: Counter, config: SynthesisConfig) -> ObjectGrasps:

@@ -8,9 +8,11 @@ import pytest
 import torch
 import trimesh
 
+from grabnet.evaluation.hand_pieces import hand_pieces
+from grabnet.evaluation.simulation import RigidBody
 from grabnet.geometry.mesh import Mesh
 from grabnet.open.grasps.posing import GraspPose
-from grabnet.open.grasps.stability import RigidObject, StabilityConfig, displacement, hand_pieces, holds
+from grabnet.open.grasps.stability import StabilityConfig, cut, displacement, holds
 
 pytest.importorskip("mujoco")
 CONFIG = StabilityConfig()
@@ -20,9 +22,9 @@ def block(centre, half) -> np.ndarray:
     return np.array(centre) + np.array(list(product((-1, 1), repeat=3))) * half
 
 
-def cube(side: float = 0.04) -> RigidObject:
+def cube(side: float = 0.04) -> RigidBody:
     box = trimesh.creation.box((side,) * 3)
-    return RigidObject.of(Mesh(box.vertices, box.faces), np.full(8, 0.01), CONFIG)
+    return cut(Mesh(box.vertices, box.faces), np.full(8, 0.01), CONFIG)
 
 
 def test_a_closed_cage_holds():
@@ -33,7 +35,7 @@ def test_a_closed_cage_holds():
 
 def test_the_open_hand_beside_an_object_drops_it(hand):
     flat = hand.posed(GraspPose(torch.eye(3)[None], hand.joints[:1], torch.zeros(1, 21))).vertices[0].numpy()
-    solids = [flat[piece] for piece in hand_pieces(hand)]
+    solids = [flat[piece] for piece in hand_pieces(hand.weights.numpy(), hand.rest.numpy())]
     beside = [solid + np.array([0.0, 0.06, 0.0]) for solid in solids]
     moved, _ = displacement(cube(), beside, CONFIG)
     assert moved >= CONFIG.max_displacement
@@ -59,17 +61,17 @@ def test_what_cannot_be_simulated_does_not_hold():
 
 def test_cells_follow_a_torus_and_leave_its_hole_open():
     ring = trimesh.creation.torus(0.04, 0.008, major_sections=96, minor_sections=32)
-    rigid = RigidObject.of(Mesh(ring.vertices, ring.faces), np.full(len(ring.vertices), 0.006), CONFIG)
-    assert len(rigid.cells) > 10
-    corners = np.concatenate(rigid.cells)
+    rigid = cut(Mesh(ring.vertices, ring.faces), np.full(len(ring.vertices), 0.006), CONFIG)
+    assert len(rigid.pieces) > 10
+    corners = np.concatenate(rigid.pieces)
     reach = np.linalg.norm(corners[:, :2], axis=1)
     assert reach.min() > 0.0315 and reach.max() < 0.0485
     near = rigid.near(np.array([[0.05, 0.0, 0.0]]), 0.004)
-    assert 0 < len(near) < len(rigid.cells) / 4
+    assert 0 < len(near.pieces) < len(rigid.pieces) / 4
 
 
 def test_inertia_of_a_ball_is_two_fifths():
     sphere = trimesh.creation.icosphere(4, 0.03)
-    rigid = RigidObject.of(Mesh(sphere.vertices, sphere.faces), np.full(len(sphere.vertices), 0.01), CONFIG)
+    rigid = cut(Mesh(sphere.vertices, sphere.faces), np.full(len(sphere.vertices), 0.01), CONFIG)
     np.testing.assert_allclose(rigid.inertia, 0.4 * 0.03**2 * np.eye(3), atol=0.02 * 0.4 * 0.03**2)
     np.testing.assert_allclose(rigid.centre, 0, atol=1e-6)
