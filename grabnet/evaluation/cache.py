@@ -8,9 +8,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.numpy import save_file
 
+from grabnet.cache import load_or_build
 from grabnet.files import replacing, sha256
 
 # Part of every key: raise it when the same content and settings would give other results.
@@ -29,46 +30,22 @@ class Cache:
     def __init__(self, folder: Path):
         self.folder = folder
 
-    def get(self, kind: str, key: Sequence[str | bytes | np.ndarray], compute: Callable[[], Arrays]) -> Arrays:
+    def get(self, kind: str, key: Sequence[str | np.ndarray], compute: Callable[[], Arrays]) -> Arrays:
         """What `compute` gives, computed only where it is not there for this key."""
-        path = self.path(kind, key)
-        if (found := self.read(path)) is not None:
-            return found[0]
-        arrays = compute()
-        self.write(path, arrays)
-        return arrays
+        return load_or_build(self.path(kind, key), lambda path: _load(path)[0], compute, _save)
 
-    def path(self, kind: str, key: Sequence[str | bytes | np.ndarray]) -> Path:
+    def path(self, kind: str, key: Sequence[str | np.ndarray]) -> Path:
         """File of a key."""
-        return self.folder / f"{kind}-{sha256(str(FORMAT), *map(_framed, key))[:32]}.safetensors"
-
-    def read(self, path: Path) -> tuple[Arrays, list[str]] | None:
-        """Arrays and the names of their rows; None where there is no readable file."""
-        if not path.exists():
-            return None
-        try:
-            with safe_open(path, "np") as file:
-                names = json.loads((file.metadata() or {}).get("rows", "[]"))
-                return {name: file.get_tensor(name) for name in file.keys()}, names  # noqa: SIM118
-        except (SafetensorError, OSError, ValueError) as error:
-            warnings.warn(f"The cached {path} is damaged ({error}); it is made anew.", stacklevel=2)
-            return None
-
-    def write(self, path: Path, arrays: Arrays, rows: Sequence[str] = ()) -> None:
-        try:
-            with replacing(path) as temporary:
-                contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
-                save_file(contiguous, temporary, {"rows": json.dumps(list(rows))})
-        except OSError as error:
-            warnings.warn(f"{path} cannot be written ({error}): it is made anew next time.", stacklevel=2)
+        # Each part is hashed by itself, so that no two lists of parts run together to the same.
+        return self.folder / f"{kind}-{sha256(str(FORMAT), *map(sha256, key))[:32]}.safetensors"
 
 
 class Table:
-    """One protocol's results for grasps of one object, a row each, by the grasps' keys."""
+    """One protocol's results for grasps of one object, a row each, by the grasps' keys; on disk once saved."""
 
-    def __init__(self, cache: Cache, kind: str, key: Sequence[str | bytes | np.ndarray]):
-        self._cache, self._path = cache, cache.path(kind, key)
-        arrays, names = cache.read(self._path) or ({}, [])
+    def __init__(self, path: Path):
+        self._path = path
+        arrays, names = load_or_build(path, _load, lambda: ({}, []), lambda *_: None)
         self._rows = {name: {k: array[i] for k, array in arrays.items()} for i, name in enumerate(names)}
         self._changed = False
 
@@ -87,11 +64,23 @@ class Table:
 
     def save(self) -> None:
         """Write what was added."""
-        if self._changed:
-            self._cache.write(self._path, self.rows(list(self._rows)), list(self._rows))
-            self._changed = False
+        if not self._changed:
+            return
+        try:
+            _save(self.rows(list(self._rows)), self._path, list(self._rows))
+        except OSError as error:
+            warnings.warn(f"{self._path} cannot be written ({error}): it is made anew next time.", stacklevel=2)
+        self._changed = False
 
 
-def _framed(part: str | bytes | np.ndarray) -> str:
-    """A part of a key so that no two lists of parts run together to the same."""
-    return sha256(part)
+def _load(path: Path) -> tuple[Arrays, list[str]]:
+    """Arrays, and the names of their rows."""
+    with safe_open(path, "np") as file:
+        names = json.loads((file.metadata() or {}).get("rows", "[]"))
+        return {name: file.get_tensor(name) for name in file.keys()}, names  # noqa: SIM118
+
+
+def _save(arrays: Arrays, path: Path, rows: Sequence[str] = ()) -> None:
+    with replacing(path) as temporary:
+        contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
+        save_file(contiguous, temporary, {"rows": json.dumps(list(rows))})

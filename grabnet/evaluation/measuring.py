@@ -42,7 +42,7 @@ def measured(tasks: Sequence[Task], cache: Cache, processes: int) -> list[dict[s
     def table(task: Task, protocol: PerGrasp) -> Table:
         key = (task.mesh.sha256, protocol.name, protocol.settings)
         if key not in tables:
-            tables[key] = Table(cache, protocol.name, key)
+            tables[key] = Table(cache.path(protocol.name, key))
         return tables[key]
 
     portions = []

@@ -14,6 +14,7 @@ import torch
 from hydra.utils import instantiate
 
 from grabnet.body.hand import HandModel
+from grabnet.cache import default_cache
 from grabnet.data.datamodule import SPLITS, GraspDataModule
 from grabnet.data.frames import FramesStore
 from grabnet.data.objects import object_files
@@ -45,7 +46,6 @@ from grabnet.evaluation.summary import Row, figures, surprises
 from grabnet.evaluation.tables import write_csv, write_grasps_csv, write_json_tables, write_latex
 from grabnet.files import sha256
 from grabnet.geometry.mesh import Mesh, load_mesh
-from grabnet.geometry.sdf_grid import default_cache
 from grabnet.models.grabber import Grabber
 from grabnet.models.trained import check_hand, find_network
 from grabnet.models.weights import load_coarsenet, load_refinenet
