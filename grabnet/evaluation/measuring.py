@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -18,6 +19,8 @@ from grabnet.geometry.mesh import Mesh
 
 # Grasps that a process measures at a time.
 _PORTION = 25
+# Seconds of work that are lost at most when the process is killed.
+_SAVED_EVERY = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +35,7 @@ class Task:
 def measured(tasks: Sequence[Task], cache: Cache, processes: int) -> list[dict[str, Arrays]]:
     """Results of each task by the protocols' names.
 
-    Only what is not cached is measured; what was is kept even if this ends early.
+    Only what is not cached is measured, and what was measured is kept even if this ends early.
 
     Args:
         processes: at once; 1 for none but this.
@@ -62,12 +65,17 @@ def measured(tasks: Sequence[Task], cache: Cache, processes: int) -> list[dict[s
             for start in range(0, len(members), _PORTION):
                 chosen = np.array(members[start : start + _PORTION])
                 portions.append((task, [task.protocols[k] for k in lacking], chosen))
+    saved = time.monotonic()
     try:
         for number, results in _computed(portions, processes):
             task, protocols, chosen = portions[number]
             names = [task.hands.keys[i] for i in chosen]
             for protocol, arrays in zip(protocols, results, strict=True):
                 table(task, protocol).add(names, arrays)
+            if time.monotonic() - saved > _SAVED_EVERY:
+                for place in tables.values():
+                    place.save()
+                saved = time.monotonic()
     finally:
         for place in tables.values():
             place.save()

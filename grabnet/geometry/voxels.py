@@ -167,19 +167,22 @@ def _rasterised(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.n
     rank = np.arange(len(face)) - np.repeat(count.cumsum() - count, count)
     column = low[face] + np.stack([rank // sides[face, 1].clip(1), rank % sides[face, 1].clip(1)], 1)
 
-    left = np.ones((2, len(face)), bool)  # of all edges, and of none
+    x, y = column.T.astype(np.float64)
+    everywhere, nowhere = np.ones(len(face), bool), np.ones(len(face), bool)  # left of all edges, and of none
     areas = []
     for k in range(3):
         a, b = corners[:, (k + 1) % 3, :2], corners[:, (k + 2) % 3, :2]
         swapped = (a[:, 0] > b[:, 0]) | ((a[:, 0] == b[:, 0]) & (a[:, 1] > b[:, 1]))
         tail, head = np.where(swapped[:, None], b, a), np.where(swapped[:, None], a, b)
-        along, off = (head - tail)[face], column - tail[face]
-        area = along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0]
-        side = (area >= 0) ^ swapped[face]
-        left &= np.stack([side, ~side])
+        along = head - tail
+        offset = along[:, 1] * tail[:, 0] - along[:, 0] * tail[:, 1]
+        area = along[face, 0] * y - along[face, 1] * x + offset[face]
+        side = (area >= 0) != swapped[face]
+        everywhere &= side
+        nowhere &= ~side
         areas.append(np.where(swapped[face], -area, area))
-    hit = left.any(0)
-    weights = np.stack([a[hit] for a in areas], 1)
+    hit = everywhere | nowhere
+    weights = np.stack([area[hit] for area in areas], 1)
     height = (weights * corners[face[hit], :, 2]).sum(1) / weights.sum(1)
     # Seen from above, a face that looks up is passed on the way out.
-    return column[hit], height, np.where(left[0][hit], -1, 1)
+    return column[hit], height, np.where(everywhere[hit], -1, 1)
