@@ -11,6 +11,7 @@ from grabnet.evaluation.hands import HandLabels, Hands
 from grabnet.evaluation.scene import Scene
 from grabnet.files import replacing
 from grabnet.geometry.mesh import Mesh
+from grabnet.preprocess.contact import ContactAnnotator
 from grabnet.visual.pictures import OBJECT, SKIN
 
 TOUCHED = (0.86, 0.2, 0.15)
@@ -35,8 +36,12 @@ class ContactMaps:
         self.settings = f"{distance}"
 
     def __call__(self, scene: Scene) -> dict[str, np.ndarray]:
-        annotator = scene.target.annotator(scene.hands, self.labels.parts_of(scene.hands), self.distance)
-        found = [annotator(vertices) for vertices in scene.hands.vertices]
+        hands, parts = scene.hands, self.labels.parts_of(scene.hands)
+        annotator = scene.target.kept(
+            ("annotator", hands.faces.tobytes(), parts.tobytes(), self.distance),
+            lambda: ContactAnnotator(scene.target.mesh, hands.vertices[0], hands.faces, parts, self.distance),
+        )
+        found = [annotator(vertices) for vertices in hands.vertices]
         return {"object": np.stack([f.object for f in found]), "hand": np.stack([f.body for f in found])}
 
 

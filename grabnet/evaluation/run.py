@@ -36,6 +36,7 @@ from grabnet.evaluation.ground_truth import (
 )
 from grabnet.evaluation.halo import Halo
 from grabnet.evaluation.hands import HandLabels, Hands
+from grabnet.evaluation.holding import Holding
 from grabnet.evaluation.measuring import Task, measured
 from grabnet.evaluation.metrics import Metric
 from grabnet.evaluation.penetration import Penetration
@@ -56,8 +57,8 @@ GROUND_TRUTH, BASELINE = "Ground truth", "Naive baseline"
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What to evaluate; the values of `configs/evaluate.yaml`, which explains them. data, hand_model and source are
-    configs of what their groups make.
+    """What to evaluate; the values of `configs/evaluate.yaml`, which explains them. data, hand_model, source and
+    physics are configs of what their groups make.
 
     Raises:
         UserError: a value out of range.
@@ -79,6 +80,7 @@ class Evaluation:
     max_ground_truth: int
     draws: int
     reconstruction: bool
+    simulate: bool
     pictures: int
     scenes: int
     processes: int
@@ -87,6 +89,7 @@ class Evaluation:
     hand_model: dict[str, Any]
     data: dict[str, Any]
     source: dict[str, Any]
+    physics: dict[str, Any]
 
     def __post_init__(self):
         least = dict.fromkeys(("n", "halo_samples", "vertex_samples", "contact_samples", "processes"), 1)
@@ -295,6 +298,8 @@ def _measure(material: Material, rows: Sequence[Row]) -> list[Metric]:
         Posture(labels),
         maps,
     ]
+    if wanted.simulate:
+        protocols.append(Holding(material.hand, instantiate(wanted.physics), wanted.cache_dir))
     closest = {name: ClosestHand(hands, wanted.vertex_samples) for name, hands in material.truth.items()}
     places = [(row, name) for name in material.objects for row in rows if name in row.hands]
     tasks = [Task(material.meshes[n], row.hands[n], [*protocols, closest[n]]) for row, n in places]
@@ -302,6 +307,10 @@ def _measure(material: Material, rows: Sequence[Row]) -> list[Metric]:
     results = measured(tasks, material.cache, wanted.processes)
     true_maps = dict(zip(material.truth, results[len(places) :], strict=True))
     for (row, name), found in zip(places, results, strict=False):
+        if simulated := found.pop(Holding.name, None):
+            for title, values in simulated.items():
+                protocol, _, metric = title.partition("/")
+                found.setdefault(protocol, {})[metric] = values
         mesh, truth, hands = material.meshes[name], material.truth[name], row.hands[name]
         first = slice(wanted.contact_samples)
         found["table2"]["contact"] = closest_map_error(

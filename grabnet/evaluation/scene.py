@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -11,10 +13,11 @@ from grabnet.evaluation.hands import Hands
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.voxels import Crossings, Runs, inside
-from grabnet.preprocess.contact import ContactAnnotator
 
 # Metres: of vertices farther than this from the object's bounding box nothing more is said than that they are far.
 _REACH = 0.02
+
+Value = TypeVar("Value")
 
 
 class Target:
@@ -26,25 +29,21 @@ class Target:
 
     def __init__(self, mesh: Mesh):
         self.mesh = mesh
-        self._voxels: dict[float, Runs] = {}
-        self._annotators: dict[bytes, ContactAnnotator] = {}
+        self._kept: dict[Hashable, Any] = {}
 
-    @cached_property
+    def kept(self, key: Hashable, make: Callable[[], Value]) -> Value:
+        """What `make` gave when first asked for by this key."""
+        if key not in self._kept:
+            self._kept[key] = make()
+        return self._kept[key]
+
+    @property
     def query(self) -> MeshQuery:
-        return MeshQuery(self.mesh)
+        return self.kept("query", lambda: MeshQuery(self.mesh))
 
     def voxels(self, spacing: float) -> Runs:
         """Voxels inside."""
-        if spacing not in self._voxels:
-            self._voxels[spacing] = inside(self.mesh, spacing, self.query)
-        return self._voxels[spacing]
-
-    def annotator(self, hands: Hands, parts: np.ndarray, distance: float) -> ContactAnnotator:
-        """Finds contact as it is annotated in the data set (paper S.7)."""
-        key = hands.faces.tobytes() + parts.tobytes() + str(distance).encode()
-        if key not in self._annotators:
-            self._annotators[key] = ContactAnnotator(self.mesh, hands.vertices[0], hands.faces, parts, distance)
-        return self._annotators[key]
+        return self.kept(("voxels", spacing), lambda: inside(self.mesh, spacing, self.query))
 
 
 class Scene:
