@@ -41,6 +41,9 @@ class MeshQuery:
     Args:
         mesh: in metres or any other unit; distances come back in the same.
         device: where the queries run; the points must lie there too.
+
+    Attributes:
+        overlaps: whether the mesh is closed and parts of it were found to lie inside others.
     """
 
     def __init__(self, mesh: Mesh, device: torch.device | str = "cpu"):
@@ -53,11 +56,13 @@ class MeshQuery:
             support_winding_number=True,
         )
         self._rays = 0
+        self.overlaps = False
         if mesh.is_closed:
             points = _probes(mesh).to(self.device)
             by_winding = self.signed_distance(points)
             self._rays = _RAYS
-            if (self.signed_distance(points) * by_winding < 0).any():  # overlapping parts
+            self.overlaps = bool((self.signed_distance(points) * by_winding < 0).any())
+            if self.overlaps:
                 self._rays = 0
 
     def signed_distance(self, points: Tensor, max_distance: float = math.inf) -> Tensor:

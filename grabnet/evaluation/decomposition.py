@@ -1,0 +1,153 @@
+"""Objects as convex pieces, by CoACD (Wei et al., SIGGRAPH 2022), found once per mesh."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import pyvista
+from safetensors.numpy import load_file, save_file
+from scipy.spatial import ConvexHull, QhullError
+
+from grabnet.cache import default_cache, load_or_build
+from grabnet.errors import UserError
+from grabnet.files import replacing, sha256
+from grabnet.geometry.intersections import MovingMesh, find_crossings
+from grabnet.geometry.mesh import Mesh
+from grabnet.geometry.queries import MeshQuery
+
+# Part of the cache key: raise it when the same mesh, config and version of CoACD would give other pieces.
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class DecompositionConfig:
+    """How finely an object is cut; `configs/evaluation/physics.yaml` explains the values.
+
+    Raises:
+        UserError: a value out of range.
+    """
+
+    concavity: float
+    max_faces: int
+    max_corners: int
+    remeshing: int
+    resolution: int
+    nodes: int
+    iterations: int
+    seed: int
+
+    def __post_init__(self):
+        if not 0.01 <= self.concavity <= 1:
+            raise UserError(f"decomposition.concavity={self.concavity} is out of range; it can be 0.01 to 1.")
+        least = {"max_faces": 100, "max_corners": 32, "resolution": 1, "nodes": 1, "iterations": 1}
+        for name, lowest in least.items():
+            if (value := getattr(self, name)) < lowest:
+                raise UserError(f"decomposition.{name}={value} is too small; it must be at least {lowest}.")
+
+
+def convex_pieces(mesh: Mesh, config: DecompositionConfig, cache_dir: str | Path | None = None) -> list[np.ndarray]:
+    """The pieces of `decomposed` from the cache, or found and put there.
+
+    Args:
+        cache_dir: default `$GRABNET_CACHE`, else `grabnet` in the user's cache folder.
+    """
+    settings = json.dumps(asdict(config), sort_keys=True)
+    key = sha256(mesh.sha256, settings, version("coacd"), str(FORMAT))
+    path = Path(cache_dir or default_cache()) / f"pieces-{key[:32]}.safetensors"
+    return load_or_build(path, _load, lambda: decomposed(mesh, config), _save)
+
+
+def decomposed(mesh: Mesh, config: DecompositionConfig) -> list[np.ndarray]:
+    """Corners (N, 3) float32 of convex solids that together approximate the inside of a mesh, in its frame and units.
+
+    A mesh that doesn't bound a solid is remeshed by CoACD: parts that overlap are joined, and open walls become thin
+    ones. The same mesh and config give the same pieces.
+
+    Raises:
+        UserError: CoACD finds no pieces.
+    """
+    import coacd  # here: an extra
+
+    coacd.set_log_level("error")
+    solid = _solid(mesh, config.max_faces)
+    surface = solid or mesh
+    parts = coacd.run_coacd(
+        coacd.Mesh(surface.vertices.astype(np.float64), surface.faces),
+        threshold=config.concavity,
+        preprocess_mode="off" if solid else "on",
+        preprocess_resolution=config.remeshing,
+        resolution=config.resolution,
+        mcts_nodes=config.nodes,
+        mcts_iterations=config.iterations,
+        seed=config.seed,
+    )
+    directions = _directions(config.max_corners)
+    found = [_corners(np.asarray(vertices, np.float32), directions) for vertices, _ in parts]
+    pieces = [corners for corners in found if corners is not None]
+    if not pieces:
+        raise UserError(f"CoACD finds no convex pieces in this mesh of {len(mesh.faces)} faces; repair or remesh it.")
+    return pieces
+
+
+def _solid(mesh: Mesh, max_faces: int) -> Mesh | None:
+    """A mesh facing outward and, if that can be, of few faces; None where it doesn't bound a solid."""
+    outward = mesh if mesh.volume > 0 else Mesh(mesh.vertices, mesh.faces[:, ::-1])
+    candidates = (_simplified(outward, max_faces), outward)
+    return next((candidate for candidate in candidates if _bounds_solid(candidate)), None)
+
+
+def _simplified(mesh: Mesh, max_faces: int) -> Mesh:
+    """The same with fewer faces."""
+    if len(mesh.faces) <= max_faces:
+        return mesh
+    surface = pyvista.make_tri_mesh(mesh.vertices.astype(np.float64), mesh.faces)
+    fewer = surface.decimate(1 - max_faces / len(mesh.faces))
+    return Mesh(fewer.points, fewer.faces.reshape(-1, 4)[:, 1:])
+
+
+def _bounds_solid(mesh: Mesh) -> bool:
+    """Whether a mesh is closed, encloses something, and neither cuts itself nor has parts inside others.
+
+    On surfaces that do, CoACD may never end.
+    """
+    if not mesh.is_closed or mesh.volume <= 0 or MeshQuery(mesh).overlaps:
+        return False
+    surface = MovingMesh(mesh.vertices, mesh.faces)
+    crossings = find_crossings(surface, surface)
+    apart = surface.edges[crossings.edge][:, :, None] != mesh.faces[crossings.face][:, None]
+    return not apart.all((1, 2)).any()
+
+
+def _corners(points: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
+    """Those of points (N, 3) that lie farthest out in any of directions (D, 3); None where they are flat."""
+    corners = points[np.unique((points @ directions.T).argmax(0))]
+    try:
+        ConvexHull(corners.astype(np.float64))
+    except QhullError:
+        return None
+    return corners
+
+
+def _directions(n: int) -> np.ndarray:
+    """(n, 3) unit vectors, spread evenly: Fibonacci's lattice."""
+    i = np.arange(n) + 0.5
+    z, angle = 1 - 2 * i / n, np.pi * (1 + 5**0.5) * i
+    return np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], 1).astype(np.float32)
+
+
+def _save(pieces: Sequence[np.ndarray], path: Path) -> None:
+    with replacing(path) as temporary:
+        save_file({"corners": np.concatenate(pieces), "counts": np.array([len(p) for p in pieces])}, temporary)
+
+
+def _load(path: Path) -> list[np.ndarray]:
+    stored = load_file(path)
+    corners, counts = stored["corners"], stored["counts"]
+    if corners.dtype != np.float32 or corners.shape != (counts.sum(), 3) or not (counts >= 4).all():
+        raise ValueError(f"corners {corners.dtype} {corners.shape} of {counts.shape} pieces")
+    return np.split(corners, np.cumsum(counts)[:-1])
