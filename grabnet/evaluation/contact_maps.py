@@ -36,13 +36,19 @@ class ContactMaps:
         self.settings = f"{distance}"
 
     def __call__(self, scene: Scene) -> dict[str, np.ndarray]:
-        hands, parts = scene.hands, self.labels.parts_of(scene.hands)
+        parts = self.labels.parts_of(scene.hands)
+        # The annotator's bodies are closed; what closes the wrist belongs to it.
+        vertices, faces = scene.hands.closed
+        closed_parts = np.append(parts, np.full(vertices.shape[1] - len(parts), parts.min(), np.uint8))
         annotator = scene.target.kept(
-            ("annotator", hands.faces.tobytes(), parts.tobytes(), self.distance),
-            lambda: ContactAnnotator(scene.target.mesh, hands.vertices[0], hands.faces, parts, self.distance),
+            ("annotator", faces.tobytes(), parts.tobytes(), self.distance),
+            lambda: ContactAnnotator(scene.target.mesh, vertices[0], faces, closed_parts, self.distance),
         )
-        found = [annotator(vertices) for vertices in hands.vertices]
-        return {"object": np.stack([f.object for f in found]), "hand": np.stack([f.body for f in found])}
+        found = [annotator(hand) for hand in vertices]
+        return {
+            "object": np.stack([f.object for f in found]),
+            "hand": np.stack([f.body[: len(parts)] for f in found]),
+        }
 
 
 def write_maps(folder: Path, name: str, mesh: Mesh, hands: Hands, maps: dict[str, np.ndarray], scenes: int) -> None:

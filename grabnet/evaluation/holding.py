@@ -1,4 +1,4 @@
-"""Protocols `grasptta` and `shake`: whether the hand holds the object, by the simulation of `grabnet.evaluation.physics`.
+"""Protocols `grasptta` and `shake`: whether the hand holds the object, by the simulation of `evaluation.physics`.
 
 A simulation that fails has no displacement and is no success either: it counts as failed, and as nothing else.
 """

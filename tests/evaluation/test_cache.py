@@ -99,16 +99,6 @@ def test_what_was_measured_is_kept_when_the_rest_fails(cache):
     assert counting.hands == 15
 
 
-def test_processes_change_nothing(cache, tmp_path, labels):
-    from grabnet.evaluation.halo import Halo
-
-    solid, hands = ball(0.03), moved(ball(0.02), *[(0.001 * k, 0, 0) for k in range(60)])
-    alone = measured([Task(solid, hands, [Halo()])], cache, 1)
-    together = measured([Task(solid, hands, [Halo()])], Cache(tmp_path / "other"), 2)
-    for name, values in alone[0]["halo"].items():
-        np.testing.assert_array_equal(together[0]["halo"][name], values)
-
-
 def test_keys_tell_hands_apart():
     hands = moved(ball(1, 1), (0, 0, 0), (1, 0, 0), (0, 0, 0))
     assert hands.keys[0] == hands.keys[2] != hands.keys[1]

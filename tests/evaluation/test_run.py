@@ -42,6 +42,7 @@ def call(runs, tiny_dataset, cache_dir, tmp_path_factory):
     def call(*overrides: str, output: Path | None = None) -> Path:
         output = output or tmp_path_factory.mktemp("evaluation")
         few = ["n=4", "halo_samples=3", "draws=50", "pictures=0", "scenes=1", "processes=1", "reconstruction=false"]
+        few.append("simulate=false")
         data = [f"data.root={tiny_dataset}", "data.val_objects=[can]", "data.test_objects=[ring]"]
         places = [f"runs={runs}", f"cache_dir={cache_dir}", f"data.cache_dir={cache_dir}", f"output={output}"]
         cfg = compose("evaluate", ["data=frames", *data, "data.near_points=32", *few, *places, *overrides])
@@ -57,7 +58,7 @@ def call(runs, tiny_dataset, cache_dir, tmp_path_factory):
 @pytest.fixture(scope="module")
 def folder(call) -> Path:
     """Of the newest networks, with all that there is."""
-    return call("reconstruction=true", "pictures=1")
+    return call("reconstruction=true", "simulate=true", "pictures=1")
 
 
 def results(folder: Path) -> dict:
@@ -76,8 +77,25 @@ def test_tables_hold_every_row_and_protocol(folder):
     found = results(folder)
     assert list(found["rows"]) == ROWS
     protocols = {name.partition("/")[0] for name in found["metrics"]}
-    assert {"table2", "halo", "grasptta", "penetration", "contact", "posture", "novelty", "coverage"} <= protocols
-    for metric in ("table2/vertices", "halo/volume", "contact/fingers", "posture/violations", "novelty/distance"):
+    assert {
+        "table2",
+        "shake",
+        "halo",
+        "grasptta",
+        "penetration",
+        "contact",
+        "posture",
+        "novelty",
+        "coverage",
+    } <= protocols
+    for metric in (
+        "table2/vertices",
+        "halo/volume",
+        "contact/fingers",
+        "posture/violations",
+        "novelty/distance",
+        "grasptta/displacement",
+    ):
         assert list(found["metrics"][metric]["values"]) == ROWS
     for entry in found["metrics"].values():
         for row in entry["values"].values():
@@ -152,11 +170,11 @@ def test_again_it_is_the_same_and_nothing_is_measured(folder, call, monkeypatch)
     for name in ("grabnet.evaluation.measuring._measure", "grabnet.evaluation.run.reconstruction"):
         monkeypatch.setattr(name, never)
     monkeypatch.setattr(Grabber, "grasp", never)
-    assert figures(call("reconstruction=true")) == figures(folder)
+    assert figures(call("reconstruction=true", "simulate=true")) == figures(folder)
 
 
-def test_a_fresh_cache_gives_the_same(folder, call, tmp_path, cache_dir):
-    again = call("reconstruction=true", f"cache_dir={tmp_path}")
+def test_a_fresh_cache_and_two_processes_give_the_same(folder, call, tmp_path, cache_dir):
+    again = call("reconstruction=true", "simulate=true", "processes=2", f"cache_dir={tmp_path}")
     assert figures(again) == figures(folder)
 
 
