@@ -18,6 +18,7 @@ from grabnet.evaluation.hands import HandLabels, Hands
 from grabnet.evaluation.penetration import Penetration
 from grabnet.evaluation.posture import Posture, joint_limits
 from grabnet.geometry.mesh import Mesh
+from grabnet.geometry.queries import MeshQuery
 from tests.evaluation.shapes import ball, moved, scene
 
 EPSILON = 0.0045
@@ -193,3 +194,20 @@ def test_keypoints_do_not_depend_on_where_the_hand_is(hand, labels):
     assert np.linalg.norm(here[0, 4]) == pytest.approx(
         np.linalg.norm(hand.rest_joints(hand.v_template)[4] - hand.rest_joints(hand.v_template)[0]), rel=0.05
     )
+
+
+def test_contact_stays_within_the_closed_wrist(hand, labels):
+    """A rod that enters the hand through its open wrist and ends inside: only what is inside is touched."""
+    flat = posed(hand)
+    closed, faces = flat.closed
+    wrist = closed[0, -1]
+    inward = flat.vertices[0, labels.finger == -1].mean(0) - wrist
+    inward /= np.linalg.norm(inward)
+    rod = trimesh.creation.cylinder(0.003, segment=[wrist - 0.05 * inward, wrist + 0.015 * inward], sections=12)
+    rod = trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(rod.vertices, rod.faces, 0.003))
+    thing = Mesh(rod.vertices, rod.faces)
+    touched = ContactMaps(labels, EPSILON)(scene(thing, flat))["object"][0] > 0
+    depth = -MeshQuery(Mesh(closed[0], faces)).signed_distance(torch.tensor(thing.vertices)).numpy()
+    assert touched[depth > 1e-4].all()
+    assert not touched[depth < -EPSILON].any()
+    assert (depth > 1e-4).sum() > 20
