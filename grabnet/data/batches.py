@@ -88,7 +88,8 @@ class BatchAssembler(nn.Module):
             about = about_z(torch.rand(len(frames), device=rotations.device) * (2 * torch.pi))
             rotations, vertices = about @ rotations, vertices @ about.mT
             hand = self.hand.moved(hand, about, rest=rest)
-        points = self.object_set.points[frames.object.unsqueeze(1), targets.near.long()] @ rotations.mT
+        samples, near = self.object_set.points, targets.near
+        points = samples[frames.object] if near is None else samples[frames.object.unsqueeze(1), near.long()]
         return GraspBatch(
             objects=frames.object,
             rotations=rotations,
@@ -96,7 +97,7 @@ class BatchAssembler(nn.Module):
             rest=rest,
             vertices=vertices,
             distances=targets.distances.to(vertices.dtype),
-            points=points,
-            point_distances=targets.near_distances.to(points.dtype),
+            points=points @ rotations.mT,
+            point_distances=targets.near_distances.to(vertices.dtype),
             object_set=self.object_set,
         )

@@ -73,6 +73,17 @@ def test_points_are_the_nearest_and_their_distances_exact(data):
         assert abs(batch.point_distances[k].abs().numpy() - kept).max() < 1e-4
 
 
+def test_all_points_where_as_many_are_wanted(tiny_dataset, hand, cache_dir):
+    settings = {"object_points": 100, "near_points": 100, "cache_dir": str(cache_dir)}
+    data = GraspDataModule(hand, str(tiny_dataset), **SPLIT, **settings)
+    data.setup()
+    batch = data.assemble("train", torch.arange(5))
+    torch.testing.assert_close(batch.points, data.assembler.object_set.points[batch.objects] @ batch.rotations.mT)
+    for points, vertices, distances in zip(batch.points, batch.vertices, batch.point_distances, strict=True):
+        expected, _ = cKDTree(vertices.numpy()).query(points.numpy())
+        assert abs(distances.abs().numpy() - expected).max() < 1e-4
+
+
 def test_turning_about_the_vertical_changes_no_distance(data):
     index = torch.arange(8)
     torch.manual_seed(3)
@@ -103,6 +114,15 @@ def test_shuffled_batches_cover_all_once_and_repeat_by_epoch():
 
 def test_evaluation_drops_no_frame():
     assert torch.cat([index for index, _ in IndexBatches(50, 16, shuffle=False, seed=0)]).tolist() == list(range(50))
+
+
+def test_noise_is_new_in_every_epoch_of_training_and_never_in_evaluation():
+    for shuffle in (True, False):
+        batches = IndexBatches(50, 16, shuffle, seed=0)
+        seeds = [seed for _, seed in batches]
+        batches.set_epoch(1)
+        again = [seed for _, seed in batches]
+        assert len({*seeds, *again}) == (len(seeds) + len(again) if shuffle else len(seeds))
 
 
 @pytest.mark.parametrize("world_size", [2, 3])
