@@ -47,7 +47,7 @@ def drawn(
     """
 
     def draw() -> dict[str, np.ndarray]:
-        grasps = grabber.grasp(mesh, n, seed, cache_dir=grid_cache)
+        grasps = grabber(mesh, n, seed, cache_dir=grid_cache)
         return {"vertices": grasps.vertices.numpy(), "hand_pose": grasps.parameters.hand_pose.numpy()}
 
     hand_hash = sha256(grabber.hand.v_template.numpy())

@@ -48,8 +48,8 @@ from grabnet.evaluation.tables import write_csv, write_grasps_csv, write_json_ta
 from grabnet.files import sha256
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.models.grabber import Grabber
-from grabnet.models.trained import check_hand, find_network
-from grabnet.models.weights import load_coarsenet, load_refinenet
+from grabnet.models.trained import check_hand, find_pair
+from grabnet.models.weights import load_coarsenet, load_refinenet, weights_file
 from grabnet.provenance import provenance
 
 GROUND_TRUTH, BASELINE = "Ground truth", "Naive baseline"
@@ -178,18 +178,20 @@ class Networks:
 
     @classmethod
     def of(cls, wanted: Evaluation, hand: HandModel) -> Networks:
-        """Those named; the newest where none is, nor any folder of grasps.
+        """Those named; where none is, nor any folder of grasps, the newest, or the shipped ones.
 
         Raises:
             UserError: a RefineNet without a CoarseNet to start from, none there, or trained with another hand.
         """
         if wanted.refinenet and not wanted.coarsenet:
             raise UserError("refinenet is given without coarsenet, from whose grasps it starts: name that, too.")
-        files = {}
-        if wanted.coarsenet or not wanted.folders:
-            files["coarsenet"] = find_network("CoarseNet", wanted.coarsenet, wanted.runs)
-        if wanted.refinenet or (files and not wanted.coarsenet):
-            files["refinenet"] = find_network("RefineNet", wanted.refinenet, wanted.runs)
+        if wanted.coarsenet:
+            named = {"coarsenet": wanted.coarsenet, "refinenet": wanted.refinenet}
+            files = {name: weights_file(path) for name, path in named.items() if path}
+        elif not wanted.folders:
+            files = dict(zip(("coarsenet", "refinenet"), find_pair(runs=wanted.runs), strict=True))
+        else:
+            files = {}
         for path in files.values():
             check_hand(path, hand)
         return cls(files)

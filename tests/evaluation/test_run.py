@@ -169,7 +169,7 @@ def test_again_it_is_the_same_and_nothing_is_measured(folder, call, monkeypatch)
 
     for name in ("grabnet.evaluation.measuring._measure", "grabnet.evaluation.run.reconstruction"):
         monkeypatch.setattr(name, never)
-    monkeypatch.setattr(Grabber, "grasp", never)
+    monkeypatch.setattr(Grabber, "forward", never)
     assert figures(call("reconstruction=true", "simulate=true")) == figures(folder)
 
 
@@ -221,7 +221,7 @@ def test_reconstruction_is_what_a_training_run_tells(folder, runs, tiny_dataset,
 def made(tmp_path, grabber, tiny_dataset, cache_dir) -> Path:
     """The same grasps of the ring as parameters and as meshes."""
     file = tiny_dataset / OBJECT_MESHES / "ring.ply"
-    grasps = grabber.grasp(load_mesh(file), 3, cache_dir=cache_dir)
+    grasps = grabber(load_mesh(file), 3, cache_dir=cache_dir)
     parameters, meshes = tmp_path / "parameters" / "ring", tmp_path / "meshes" / "ring"
     parameters.mkdir(parents=True)
     meshes.mkdir(parents=True)
