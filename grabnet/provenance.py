@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-PACKAGES = ("grabnet", "torch", "lightning", "hydra-core", "numpy", "warp-lang", "roma", "trimesh")
+PACKAGES = ("grabnet", "torch", "lightning", "hydra-core", "numpy", "warp-lang", "roma", "trimesh", "mujoco", "coacd")
 
 
 def provenance(**facts: Any) -> dict[str, Any]:

@@ -6,6 +6,7 @@ python scripts/ship_weights.py runs/open/coarsenet assets/open_grabber/coarsenet
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 
 import torch
@@ -30,7 +31,8 @@ def ship(run: Path, folder: Path) -> None:
     """Write model.safetensors, config.yaml and metrics.json of a run into `folder`."""
     file = weights_file(run)
     network = load_coarsenet(file) if network_kind(file) == "CoarseNet" else load_refinenet(file, HandModel.open())
-    record = read_provenance(file)
+    # Whoever gets it has no use for where this machine keeps things: paths become relative to here.
+    record = json.loads(json.dumps(read_provenance(file)).replace(f"{Path.cwd()}/", ""))
     save_network(folder / FILE_NAME, network, record | {"rounded_from_sha256": sha256(file)}, torch.float16)
     with replacing(folder / "config.yaml") as temporary:
         OmegaConf.save(OmegaConf.create(record["config"]), temporary)

@@ -76,9 +76,9 @@ class Outcome:
 class Simulator:
     """Lets go of an object in hands of one topology.
 
-    The hand is fixed: a convex hull around the vertices of each phalanx, and of each tile of the palm. So is not the
-    object: convex pieces, filled evenly. Both are rigid; nothing else is there, no table either. Grasps are simulated
-    one by one from rest, so that their order and number don't matter.
+    The hand is fixed: a convex hull around the vertices of each phalanx and of each tile of the palm. The object is
+    convex pieces, filled evenly. Both are rigid, and nothing else is there, no table either. Where they overlap at the
+    start, contacts push the object out. Each grasp is simulated by itself from rest: order and number don't matter.
 
     Args:
         mesh: the object, metres.
@@ -102,7 +102,7 @@ class Simulator:
 
         Args:
             vertices: (B, V, 3) metres, in the frame of the object's mesh.
-            up: (3,) or (B, 3) what is up in that frame.
+            up: (3,) or (B, 3) unit vectors, what is up in that frame.
 
         Raises:
             UserError: hands of other than the hand model's vertices.

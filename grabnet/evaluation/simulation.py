@@ -120,8 +120,9 @@ class Simulation:
         try:
             mujoco.mj_forward(model, data)
             start, orientation = data.xipos[1].copy(), data.xmat[1].reshape(3, 3).copy()
-            for done in range(0, steps, _STRIDE):
-                mujoco.mj_step(model, data, nstep=min(_STRIDE, steps - done))
+            for stride in [steps % _STRIDE] * (steps % _STRIDE > 0) + [_STRIDE] * (steps // _STRIDE):
+                mujoco.mj_step(model, data, nstep=stride)
+                mujoco.mj_kinematics(model, data)  # a step leaves places as they were before it
                 moved = float(np.linalg.norm(data.xipos[1] - start))
                 cosine = (np.trace(orientation.T @ data.xmat[1].reshape(3, 3)) - 1) / 2
                 turned = float(np.arccos(np.clip(cosine, -1, 1)))

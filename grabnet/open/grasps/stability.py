@@ -65,7 +65,8 @@ def displacement(held: RigidBody, hand_solids: list[np.ndarray], config: Stabili
     try:
         near = held.near(np.concatenate([np.empty((0, 3)), *hand_solids]), config.near)
         simulation = Simulation(near, hand_solids, Dynamics(config.friction, config.mass, config.timestep))
-        return simulation.let_go(_GRAVITY, round(config.duration / config.timestep), config.max_displacement)
+        steps = round(config.duration / config.timestep) - 1  # the last one's motion has never counted here
+        return simulation.let_go(_GRAVITY, steps, config.max_displacement)
     except SimulationError:
         return np.inf, np.inf
 

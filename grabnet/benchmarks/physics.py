@@ -1,0 +1,50 @@
+"""Simulating whether hands hold an object: what of it is setting up the scene, and what the object's pieces spare."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+from grabnet.benchmarks.run import Benchmark
+from grabnet.benchmarks.scene import hands, meshes
+from grabnet.benchmarks.timing import Case
+from grabnet.evaluation.physics import Simulator
+from grabnet.evaluation.simulation import Simulation
+from grabnet.open.grasps.stability import StabilityConfig, cut
+
+CONFIG = Path(__file__).parents[2] / "configs" / "evaluation" / "physics.yaml"
+
+
+def cases(settings: Benchmark) -> list[Case]:
+    config = instantiate(OmegaConf.load(CONFIG))
+    thing = meshes()[1]
+    hand, parameters = hands(settings.batch, torch.Generator().manual_seed(settings.seed), "cpu")
+    vertices = hand(parameters).vertices.numpy()
+    # Palms on the object: the middle of each hand comes to a point of its surface.
+    points, normals = thing.sample_surface(settings.batch, settings.seed)
+    vertices += (points + 0.015 * normals - vertices.mean(1))[:, None]
+    simulator = Simulator(thing, hand, config)
+    cells = cut(thing, np.full(len(thing.vertices), np.inf), StabilityConfig())
+
+    def plain() -> None:
+        for hand_vertices in vertices:
+            solids = [hand_vertices[piece] for piece in simulator.pieces]
+            Simulation(cells, solids, config.grasptta.dynamics).let_go((0, 0, -9.81), config.grasptta.steps)
+
+    def scenes() -> None:
+        for hand_vertices in vertices:
+            solids = [hand_vertices[piece] for piece in simulator.pieces]
+            Simulation(simulator.body, solids, config.grasptta.dynamics)
+
+    lattice = f"grasptta, {len(cells.pieces)} cells of a lattice"
+    pieces = len(simulator.body.pieces)
+    return [
+        Case(lattice, plain, runs=3),
+        Case("scenes alone", scenes),
+        Case(f"grasptta, {pieces} pieces", lambda: simulator.grasptta(vertices), (lattice, "scenes alone")),
+        Case(f"shake, {pieces} pieces", lambda: simulator.shake(vertices), ("scenes alone",), runs=3),
+    ]
