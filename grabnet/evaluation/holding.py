@@ -33,19 +33,20 @@ class Holding:
 
     Args:
         hand: whose vertices the hands have. config: constants of both. cache_dir: of convex pieces.
+        samples: grasps per object that count.
     """
 
     name = "holding"
-    metrics = (
-        Metric("grasptta", "displacement", "cm", _MOVED, "lower"),
-        Metric("grasptta", "failed", "%", _FAILED, "lower"),
-        Metric("shake", "success", "%", _HELD, "higher"),
-        Metric("shake", "displacement", "cm", _FARTHEST, "lower"),
-        Metric("shake", "failed", "%", _FAILED, "lower"),
-    )
 
-    def __init__(self, hand: HandModel, config: PhysicsConfig, cache_dir: str | Path | None):
+    def __init__(self, hand: HandModel, config: PhysicsConfig, cache_dir: str | Path | None, samples: int):
         self.hand, self.config, self.cache_dir = hand, config, cache_dir
+        self.metrics = (
+            Metric("grasptta", "displacement", "cm", _MOVED, "lower", samples),
+            Metric("grasptta", "failed", "%", _FAILED, "lower", samples),
+            Metric("shake", "success", "%", _HELD, "higher", samples),
+            Metric("shake", "displacement", "cm", _FARTHEST, "lower", samples),
+            Metric("shake", "failed", "%", _FAILED, "lower", samples),
+        )
         shape = [hand.v_template.numpy(), hand.weights.numpy()]
         self.settings = sha256(json.dumps(asdict(config), sort_keys=True), *shape)
 

@@ -86,19 +86,21 @@ def _measure(material: Material, rows: Sequence[Row]) -> list[Metric]:
         Posture(labels),
         maps,
     ]
-    if wanted.simulate:
-        protocols.append(Holding(material.hand, instantiate(wanted.physics), wanted.cache_dir))
+    holding = Holding(material.hand, instantiate(wanted.physics), wanted.cache_dir, wanted.simulated)
     closest = {name: ClosestHand(hands, wanted.vertex_samples) for name, hands in material.truth.items()}
     places = [(row, name) for name in material.objects for row in rows if name in row.hands]
     tasks = [Task(material.meshes[n], row.hands[n], [*protocols, closest[n]]) for row, n in places]
     tasks += [Task(material.meshes[name], hands, [maps]) for name, hands in material.truth.items()]
+    if wanted.simulated:
+        first = slice(wanted.simulated)
+        tasks += [Task(material.meshes[name], row.hands[name].select(first), [holding]) for row, name in places]
     results = measured(tasks, material.cache, wanted.processes)
-    true_maps = dict(zip(material.truth, results[len(places) :], strict=True))
+    true_maps = dict(zip(material.truth, results[len(places) :], strict=False))
+    for found, simulated in zip(results, results[len(places) + len(true_maps) :], strict=False):
+        for title, values in simulated[holding.name].items():
+            protocol, _, metric = title.partition("/")
+            found.setdefault(protocol, {})[metric] = values
     for (row, name), found in zip(places, results, strict=False):
-        if simulated := found.pop(Holding.name, None):
-            for title, values in simulated.items():
-                protocol, _, metric = title.partition("/")
-                found.setdefault(protocol, {})[metric] = values
         mesh, truth, hands = material.meshes[name], material.truth[name], row.hands[name]
         first = slice(wanted.contact_samples)
         found["table2"]["contact"] = closest_map_error(
@@ -118,7 +120,7 @@ def _measure(material: Material, rows: Sequence[Row]) -> list[Metric]:
         if all(p is not None for p in points):
             row.clusters = diversity.cluster(np.concatenate(points), wanted.seed)
     contact = Metric("table2", "contact", "%", CLOSEST_MAP, "lower", wanted.contact_samples)
-    first, *rest = [metric for p in (next(iter(closest.values())), *protocols) for metric in p.metrics]
+    first, *rest = [metric for p in (next(iter(closest.values())), *protocols, holding) for metric in p.metrics]
     return [first, contact, *rest, *diversity.METRICS]
 
 

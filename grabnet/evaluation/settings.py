@@ -35,7 +35,7 @@ class Evaluation:
     max_ground_truth: int
     draws: int
     reconstruction: bool
-    simulate: bool
+    simulated: int
     pictures: int
     scenes: int
     processes: int
@@ -48,7 +48,9 @@ class Evaluation:
 
     def __post_init__(self):
         least = dict.fromkeys(("n", "halo_samples", "vertex_samples", "contact_samples", "processes"), 1)
-        for name, bound in (least | {"max_ground_truth": 2, "draws": 2, "seed": 0, "pictures": 0, "scenes": 0}).items():
+        for name, bound in (
+            least | {"max_ground_truth": 2, "draws": 2, "seed": 0, "simulated": 0, "pictures": 0, "scenes": 0}
+        ).items():
             if getattr(self, name) < bound:
                 raise UserError(f"{name} is {getattr(self, name)}; it must be at least {bound}.")
         if self.split not in SPLITS:

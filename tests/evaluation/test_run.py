@@ -42,7 +42,7 @@ def call(runs, tiny_dataset, cache_dir, tmp_path_factory):
     def call(*overrides: str, output: Path | None = None) -> Path:
         output = output or tmp_path_factory.mktemp("evaluation")
         few = ["n=4", "halo_samples=3", "draws=50", "pictures=0", "scenes=1", "processes=1", "reconstruction=false"]
-        few.append("simulate=false")
+        few.append("simulated=0")
         data = [f"data.root={tiny_dataset}", "data.val_objects=[can]", "data.test_objects=[ring]"]
         places = [f"runs={runs}", f"cache_dir={cache_dir}", f"data.cache_dir={cache_dir}", f"output={output}"]
         cfg = compose("evaluate", ["data=frames", *data, "data.near_points=32", *few, *places, *overrides])
@@ -58,7 +58,7 @@ def call(runs, tiny_dataset, cache_dir, tmp_path_factory):
 @pytest.fixture(scope="module")
 def folder(call) -> Path:
     """Of the newest networks, with all that there is."""
-    return call("reconstruction=true", "simulate=true", "pictures=1")
+    return call("reconstruction=true", "simulated=2", "pictures=1")
 
 
 def results(folder: Path) -> dict:
@@ -170,7 +170,7 @@ def test_again_it_is_the_same_and_nothing_is_measured(folder, call, monkeypatch)
     for name in ("grabnet.evaluation.measuring._measure", "grabnet.evaluation.run.reconstruction"):
         monkeypatch.setattr(name, never)
     monkeypatch.setattr(Grabber, "forward", never)
-    assert figures(call("reconstruction=true", "simulate=true")) == figures(folder)
+    assert figures(call("reconstruction=true", "simulated=2")) == figures(folder)
 
 
 def test_a_fresh_cache_and_two_processes_give_the_same(folder, call, tmp_path):
