@@ -22,6 +22,7 @@ SUITES = {
     "hand": "posing a batch of hands",
     "train": "one training step of each network",
     "sample": "grasps of a new mesh",
+    "volume": "what hands and an object share, in voxels of 1 mm",
     "contact": "which vertices touch, of a whole body and an object",
     "physics": "whether hands hold an object, simulated",
 }

@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import roma
 import torch
 from torch import Tensor
 
 from grabnet.body.hand import HandModel
+from grabnet.geometry.openings import boundary_loops
+from grabnet.geometry.rotations import matrix_to_axis_angle
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 _MODEL_FINGERS = ("index", "middle", "pinky", "ring", "thumb")  # MANO's order of joints
@@ -111,6 +114,37 @@ class Anatomy:
         base = (abduction @ flexion @ twist).unsqueeze(-3)
         return torch.cat([fingers, base, turned[..., 19:, :, :]], -3)
 
+    def angles(self, hand_pose: Tensor) -> tuple[Tensor, Tensor]:
+        """(..., 15, 3, 3) joint rotations → (..., 21) anatomical angles, and (..., 15) what they leave of each joint.
+
+        The inverse of `hand_pose`, in radians. What is left is the angle by which a joint turns about an axis that it
+        does not have, such as a fingertip sideways; the base of the thumb has all three. Flexion of the base of the
+        thumb is told within a quarter turn, all other angles within half of one either way.
+        """
+        flexion_axes = self.angle_axes[[4 * f + k for f in range(4) for k in (0, 2, 3)] + [16, 19, 20]]
+        flexion, swing = _swing_and_twist(hand_pose, flexion_axes)
+        knuckles = [0, 3, 6, 9]
+        abduction_axes = self.angle_axes[[1, 5, 9, 13]]
+        abduction = (swing[..., knuckles, :] * abduction_axes).sum(-1)
+        left = swing.norm(dim=-1)
+        left[..., knuckles] = (swing[..., knuckles, :] - abduction.unsqueeze(-1) * abduction_axes).norm(dim=-1)
+
+        f, a, t = self.angle_axes[16:19]
+        third = torch.linalg.cross(a, f)
+        axes = torch.stack([a, f, third])
+        base = axes @ hand_pose[..., 12, :, :] @ axes.mT
+        thumb_abduction = torch.atan2(-base[..., 1, 2], base[..., 2, 2])
+        thumb_flexion = torch.asin(base[..., 0, 2].clamp(-1, 1))
+        thumb_twist = torch.atan2(-base[..., 0, 1], base[..., 0, 0]) * (third @ t).sign()
+        left[..., 12] = 0
+        fingers = [
+            x
+            for k in range(4)
+            for x in (flexion[..., 3 * k], abduction[..., k], *flexion[..., 3 * k + 1 : 3 * k + 3].unbind(-1))
+        ]
+        thumb = [thumb_flexion, thumb_abduction, thumb_twist, flexion[..., 13], flexion[..., 14]]
+        return torch.stack([*fingers, *thumb], -1), left
+
 
 def boundary_loop(faces: Tensor) -> Tensor:
     """(F, 3) faces of a mesh with one opening → (L,) its boundary vertices, along the direction of the faces' edges.
@@ -118,14 +152,10 @@ def boundary_loop(faces: Tensor) -> Tensor:
     Raises:
         ValueError: the boundary isn't one simple loop.
     """
-    edges = {(a, b) for face in faces.tolist() for a, b in zip(face, face[1:] + face[:1], strict=True)}
-    follows = {a: b for a, b in edges if (b, a) not in edges}
-    loop = [min(follows, default=0)]
-    while len(loop) < len(follows) and follows[loop[-1]] != loop[0]:
-        loop.append(follows[loop[-1]])
-    if len(loop) < 3 or len(loop) < len(follows):
-        raise ValueError(f"the {len(follows)} boundary edges of this mesh don't form one simple loop")
-    return torch.tensor(loop, device=faces.device)
+    loops = boundary_loops(faces.cpu().numpy())
+    if len(loops) != 1:
+        raise ValueError(f"this mesh has {len(loops)} openings, where one simple loop is expected")
+    return torch.as_tensor(loops[0], device=faces.device)
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
@@ -209,6 +239,18 @@ def _about(axes: Tensor, angles: Tensor) -> Tensor:
     cross = torch.stack([o, -z, y, z, o, -x, -y, x, o], -1).unflatten(-1, (3, 3))
     sin, cos = angles.sin()[..., None, None], angles.cos()[..., None, None]
     return torch.eye(3, dtype=axes.dtype, device=axes.device) + sin * cross + (1 - cos) * (cross @ cross)
+
+
+def _swing_and_twist(rotations: Tensor, axes: Tensor) -> tuple[Tensor, Tensor]:
+    """Rotations (..., N, 3, 3) as a turn about unit axes (N, 3), then one about an axis perpendicular to it.
+
+    Returns:
+        angles (..., N) of the first and rotation vectors (..., N, 3) of the second, radians.
+    """
+    quaternion = roma.rotmat_to_unitquat(rotations)
+    angles = 2 * torch.atan2((quaternion[..., :3] * axes).sum(-1), quaternion[..., 3])
+    angles = torch.remainder(angles + torch.pi, 2 * torch.pi) - torch.pi  # q and -q are one rotation
+    return angles, matrix_to_axis_angle(rotations @ _about(axes, -angles))
 
 
 def _unit(vector: Tensor) -> Tensor:

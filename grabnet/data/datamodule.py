@@ -109,6 +109,11 @@ class GraspDataModule(L.LightningDataModule):
         """(V,) share of training frames in which each hand vertex touches the object."""
         return self._targets["train"].contact(self.contact_distance)
 
+    def objects_of(self, split: str, names: Sequence[str]) -> list[str]:
+        """Those of the named objects that are for train, val or test."""
+        held_out = set.union(*self.split_objects.values())
+        return [n for n in names if (n not in held_out if split == "train" else n in self.split_objects[split])]
+
     def frames(self, split: str) -> Frames:
         """The frames of train, val or test."""
         return self._frames[split]
@@ -169,10 +174,8 @@ class GraspDataModule(L.LightningDataModule):
 
     def _members(self, split: str) -> Tensor:
         """Frame numbers of a split."""
-        names = self.store.objects
-        held_out = set.union(*self.split_objects.values())
-        chosen = [n not in held_out if split == "train" else n in self.split_objects[split] for n in names]
-        members = torch.tensor(chosen)[self.store.frames.object].nonzero().squeeze(1)
+        chosen = set(self.objects_of(split, self.store.objects))
+        members = torch.tensor([n in chosen for n in self.store.objects])[self.store.frames.object].nonzero().squeeze(1)
         if split == "train" and self.max_frames is not None and self.max_frames < len(members):
             members = members[torch.linspace(0, len(members) - 1, self.max_frames).long()]
         return members

@@ -40,9 +40,10 @@ def test_the_first_run_does_not_count():
     assert timing.upper < 0.1
 
 
-@pytest.mark.parametrize("suite", ["hand", "bps", "contact"])
+@pytest.mark.parametrize("suite", ["hand", "bps", "contact", "volume"])
 def test_suites_write_their_figures(tmp_path, monkeypatch, suite):
     monkeypatch.setenv("GRABNET_CACHE", str(tmp_path))
+    monkeypatch.setattr("grabnet.benchmarks.volume.SPACING", 0.004)  # the plain way takes seconds
     Benchmark(**(SETTINGS | {"suite": suite, "output": str(tmp_path / "bench.json")})).run()
     report = json.loads((tmp_path / "bench.json").read_text())
     assert {"timings", "settings", "threads", "versions", "made"} <= report.keys()

@@ -1,0 +1,86 @@
+"""Results kept on disk by what they are results of: content, settings, and a number that code changes raise."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from safetensors import safe_open
+from safetensors.numpy import save_file
+
+from grabnet.cache import load_or_build
+from grabnet.files import replacing, sha256
+
+# Part of every key: raise it when the same content and settings would give other results.
+FORMAT = 1
+
+Arrays = dict[str, np.ndarray]
+
+
+class Cache:
+    """Arrays in safetensors files of one folder; a damaged or unwritable one costs a warning and time, nothing else.
+
+    Args:
+        folder: made when needed.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+
+    def get(self, kind: str, key: Sequence[str | np.ndarray], compute: Callable[[], Arrays]) -> Arrays:
+        """What `compute` gives, computed only where it is not there for this key."""
+        return load_or_build(self.path(kind, key), lambda path: _load(path)[0], compute, _save)
+
+    def path(self, kind: str, key: Sequence[str | np.ndarray]) -> Path:
+        """File of a key."""
+        # Each part is hashed by itself, so that no two lists of parts run together to the same.
+        return self.folder / f"{kind}-{sha256(str(FORMAT), *map(sha256, key))[:32]}.safetensors"
+
+
+class Table:
+    """One protocol's results for grasps of one object, a row each, by the grasps' keys; on disk once saved."""
+
+    def __init__(self, path: Path):
+        self._path = path
+        arrays, names = load_or_build(path, _load, lambda: ({}, []), lambda *_: None)
+        self._rows = {name: {k: array[i] for k, array in arrays.items()} for i, name in enumerate(names)}
+        self._changed = False
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._rows
+
+    def add(self, names: Sequence[str], arrays: Arrays) -> None:
+        """Rows of these names; arrays have one entry for each."""
+        for i, name in enumerate(names):
+            self._rows[name] = {k: array[i] for k, array in arrays.items()}
+        self._changed = True
+
+    def rows(self, names: Sequence[str]) -> Arrays:
+        """The named rows, in that order."""
+        return {k: np.stack([self._rows[name][k] for name in names]) for k in self._rows[names[0]]}
+
+    def save(self) -> None:
+        """Write what was added."""
+        if not self._changed:
+            return
+        try:
+            _save(self.rows(list(self._rows)), self._path, list(self._rows))
+        except OSError as error:
+            warnings.warn(f"{self._path} cannot be written ({error}): it is made anew next time.", stacklevel=2)
+        self._changed = False
+
+
+def _load(path: Path) -> tuple[Arrays, list[str]]:
+    """Arrays, and the names of their rows."""
+    with safe_open(path, "np") as file:
+        names = json.loads((file.metadata() or {}).get("rows", "[]"))
+        return {name: file.get_tensor(name) for name in file.keys()}, names  # noqa: SIM118
+
+
+def _save(arrays: Arrays, path: Path, rows: Sequence[str] = ()) -> None:
+    with replacing(path) as temporary:
+        contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
+        save_file(contiguous, temporary, {"rows": json.dumps(list(rows))})

@@ -1,0 +1,124 @@
+"""The report's plots, as SVG."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure as Canvas
+
+from grabnet.evaluation.fingers import PARTS
+from grabnet.evaluation.metrics import Metric
+from grabnet.evaluation.summary import Figure, Row, find
+
+# Ground truth, baseline, networks, then what else there is.
+COLOURS = ("#3f7d58", "#98a2ad", "#e3a64b", "#c5523f", "#4b6a9b", "#8a5a9e", "#3b8f9c", "#7a6a53")
+_INK, _FAINT = "#28323c", "#d9dee3"
+_SIZE = 8.5  # points, of the text
+
+
+def intervals(found: Sequence[Figure], rows: Sequence[Row], metrics: Sequence[Metric]) -> str:
+    """Each metric's value and interval by row, side by side."""
+    columns = min(4, len(metrics))
+    lines = -(-len(metrics) // columns)
+    canvas, axes = _canvas(lines, columns, height=0.55 + 0.24 * len(rows))
+    for axis, metric in zip(axes, metrics, strict=False):
+        for k, row in enumerate(rows):
+            if (estimate := find(found, metric, row.name)) is not None:
+                low, high = estimate.interval
+                axis.plot([low, high], [k, k], color=COLOURS[k % len(COLOURS)], linewidth=2.4, solid_capstyle="round")
+                axis.plot(estimate.value, k, "o", color=COLOURS[k % len(COLOURS)], markersize=5.5)
+        first = axis.get_subplotspec().is_first_col()
+        axis.set_yticks(range(len(rows)), [row.name for row in rows] if first else [""] * len(rows))
+        axis.set_ylim(len(rows) - 0.5, -0.5)
+        arrow = {"lower": " ←", "higher": " →"}.get(metric.better or "", "")
+        _entitle(axis, f"{metric.title}{f' [{metric.unit}]' if metric.unit else ''}{arrow}")
+        axis.grid(axis="y", visible=False)
+    return _svg(canvas, axes[len(metrics) :])
+
+
+def distributions(rows: Sequence[Row], metrics: Sequence[Metric], objects: Sequence[str]) -> str:
+    """Share of all grasps at or below each value."""
+    canvas, axes = _canvas(1, len(metrics), height=2.3)
+    for axis, metric in zip(axes, metrics, strict=True):
+        highest = 0.0
+        for k, row in enumerate(rows):
+            values = np.concatenate([row.values(metric, thing) for thing in objects])
+            values = np.sort(values[np.isfinite(values)])
+            if len(values):
+                share = 100 * np.arange(1, len(values) + 1) / len(values)
+                axis.step(values, share, where="post", color=COLOURS[k % len(COLOURS)], linewidth=1.8, label=row.name)
+                highest = max(highest, float(np.quantile(values, 0.98)))
+        axis.set_xlim(0, highest or 1)
+        axis.set_ylim(0, 100)
+        _entitle(axis, f"{metric.title}{f' [{metric.unit}]' if metric.unit else ''}")
+        if axis.get_subplotspec().is_first_col():
+            axis.set_ylabel("% of grasps at or below")
+    _legend(canvas, axes[0])
+    return _svg(canvas)
+
+
+def fingers(found: Sequence[Figure], rows: Sequence[Row], metrics: Sequence[Metric]) -> str:
+    """Share of grasps in which each finger touches, and with how much skin."""
+    canvas, axes = _canvas(1, 2, height=2.5)
+    by_title = {metric.title: metric for metric in metrics}
+    for axis, kind in zip(axes, ("touches", "area"), strict=True):
+        width = 0.8 / len(rows)
+        for k, row in enumerate(rows):
+            for p, part in enumerate(PARTS):
+                estimate = find(found, by_title[f"contact/{kind}_{part}"], row.name)
+                if estimate is not None:
+                    place = p + (k - (len(rows) - 1) / 2) * width
+                    label = row.name if p == 0 else None
+                    axis.bar(place, estimate.value, 0.92 * width, color=COLOURS[k % len(COLOURS)], label=label)
+                    axis.plot([place, place], estimate.interval, color=_INK, linewidth=0.8)
+        axis.set_xticks(range(len(PARTS)), PARTS)
+        axis.grid(axis="x", visible=False)
+    _entitle(axes[0], "contact/touches_… [% of grasps]")
+    _entitle(axes[1], "contact/area_… [cm²]")
+    _legend(canvas, axes[0])
+    return _svg(canvas)
+
+
+def _canvas(lines: int, columns: int, height: float) -> tuple[Canvas, list[Axes]]:
+    style = {
+        "font.size": _SIZE,
+        "axes.edgecolor": _FAINT,
+        "axes.labelcolor": _INK,
+        "xtick.color": _INK,
+        "ytick.color": _INK,
+        "xtick.major.size": 0,
+        "ytick.major.size": 0,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.grid": True,
+        "axes.axisbelow": True,
+        "grid.color": "#edf0f2",
+    }
+    with mpl.rc_context(style):
+        canvas = Canvas(figsize=(11, lines * height + 0.35), layout="constrained")
+        FigureCanvasSVG(canvas)
+        axes = canvas.subplots(lines, columns, squeeze=False).ravel().tolist()
+    return canvas, axes
+
+
+def _entitle(axis: Axes, title: str) -> None:
+    axis.set_title(title, loc="left", fontsize=_SIZE, color=_INK)
+
+
+def _legend(canvas: Canvas, axis: Axes) -> None:
+    handles, labels = axis.get_legend_handles_labels()
+    canvas.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False, fontsize=_SIZE)
+
+
+def _svg(canvas: Canvas, unused: Sequence[Axes] = ()) -> str:
+    for axis in unused:
+        axis.remove()
+    text = io.StringIO()
+    with mpl.rc_context({"svg.hashsalt": "grabnet"}):  # the same names in every file
+        canvas.savefig(text, format="svg", metadata={"Date": None})
+    return text.getvalue()

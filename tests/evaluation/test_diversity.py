@@ -1,0 +1,50 @@
+import numpy as np
+import pytest
+
+from grabnet.evaluation.diversity import cluster, entropy, novelty, reached
+
+
+def bunches(sizes: list[int], spread: float, seed: int = 0) -> np.ndarray:
+    """(sum of sizes, 21, 3) keypoints in bunches far from each other, each point `spread` metres from its centre."""
+    rng = np.random.default_rng(seed)
+    centres = rng.normal(0, 1, (len(sizes), 63))
+    offset = rng.normal(size=(sum(sizes), 63))
+    offset *= spread / np.linalg.norm(offset, axis=1, keepdims=True)
+    points = np.repeat(centres, sizes, axis=0) + offset
+    return points.reshape(-1, 21, 3)
+
+
+def test_clusters_of_known_entropy():
+    sizes = [10] * 10 + [30] * 10
+    found = cluster(bunches(sizes, 0.001), seed=0)
+    share = np.array(sizes) / sum(sizes)
+    assert found.entropy == pytest.approx(-(share * np.log(share)).sum())
+    assert sorted(np.bincount(found.label)) == sizes
+    # Of points at one distance from where they were thrown around, the mean is near that, and so is theirs to it.
+    assert found.distance.mean() == pytest.approx(0.1, rel=0.1)
+
+
+def test_even_clusters_have_the_most_entropy_and_equal_hands_none():
+    even = cluster(bunches([6] * 20, 0.001), seed=0)
+    assert even.entropy == pytest.approx(np.log(20))
+    assert entropy(np.array([0, 7, 0])) == 0
+    assert cluster(bunches([1] * 19, 0.0), seed=0) is None
+
+
+def test_the_same_seed_gives_the_same_clusters():
+    points = np.random.default_rng(0).normal(size=(200, 21, 3))
+    one, other = cluster(points, seed=3), cluster(points, seed=3)
+    np.testing.assert_array_equal(one.label, other.label)
+    np.testing.assert_array_equal(one.distance, other.distance)
+
+
+def test_novelty_by_brute_force():
+    rng = np.random.default_rng(0)
+    made, training = rng.normal(size=(4, 21, 3)), rng.normal(size=(9, 21, 3))
+    expected = [100 * min(np.linalg.norm(m - t, axis=1).mean() for t in training) for m in made]
+    np.testing.assert_allclose(novelty(made, training), expected)
+    np.testing.assert_allclose(novelty(training[2:4], training), 0)
+
+
+def test_what_is_reached():
+    np.testing.assert_array_equal(reached(np.array([0, 3, 3, 3]), 5), [1, 0, 0, 1, 0])

@@ -1,0 +1,308 @@
+"""From networks and folders of grasps to report and tables, as a user calls it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from hydra.errors import InstantiationException
+from hydra.utils import instantiate
+
+from grabnet.body.hand import HandModel
+from grabnet.cli import compose
+from grabnet.data.objects import OBJECT_MESHES
+from grabnet.errors import UserError
+from grabnet.evaluation.run import evaluate
+from grabnet.files import sha256
+from grabnet.geometry.mesh import load_mesh
+from grabnet.geometry.rotations import matrix_to_axis_angle
+from grabnet.models.grabber import Grabber
+from grabnet.models.weights import save_network
+
+
+@pytest.fixture(scope="module")
+def runs(grabber, tmp_path_factory) -> Path:
+    runs = tmp_path_factory.mktemp("runs")
+    save_network(runs / "coarse" / "model.safetensors", grabber.coarsenet, {})
+    save_network(runs / "fine" / "model.safetensors", grabber.refinenet, {})
+    return runs
+
+
+@pytest.fixture(scope="module")
+def call(runs, tiny_dataset, cache_dir, tmp_path_factory):
+    """Evaluate four grasps of the ring, those of the can being for validation."""
+
+    def call(*overrides: str, output: Path | None = None) -> Path:
+        output = output or tmp_path_factory.mktemp("evaluation")
+        few = ["n=4", "halo_samples=3", "draws=50", "pictures=0", "scenes=1", "processes=1", "reconstruction=false"]
+        few.append("simulated=0")
+        data = [f"data.root={tiny_dataset}", "data.val_objects=[can]", "data.test_objects=[ring]"]
+        places = [f"runs={runs}", f"cache_dir={cache_dir}", f"data.cache_dir={cache_dir}", f"output={output}"]
+        cfg = compose("evaluate", ["data=frames", *data, "data.near_points=32", *few, *places, *overrides])
+        try:
+            evaluate(instantiate(cfg, _convert_="object"))
+        except InstantiationException as error:  # how Hydra passes on what a constructor raised
+            raise error.__cause__ from None
+        return output
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def folder(call) -> Path:
+    """Of the newest networks, with all that there is."""
+    return call("reconstruction=true", "simulated=2", "pictures=1")
+
+
+def results(folder: Path) -> dict:
+    return json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+
+
+def figures(folder: Path) -> dict:
+    """Without time and place."""
+    return {name: results(folder)[name] for name in ("rows", "metrics", "reconstruction", "unexpected_order")}
+
+
+ROWS = ["Ground truth", "Naive baseline", "CoarseNet", "CoarseNet + RefineNet"]
+
+
+def test_tables_hold_every_row_and_protocol(folder):
+    found = results(folder)
+    assert list(found["rows"]) == ROWS
+    protocols = {name.partition("/")[0] for name in found["metrics"]}
+    assert {
+        "table2",
+        "shake",
+        "halo",
+        "grasptta",
+        "penetration",
+        "contact",
+        "posture",
+        "novelty",
+        "coverage",
+    } <= protocols
+    for metric in (
+        "table2/vertices",
+        "halo/volume",
+        "contact/fingers",
+        "posture/violations",
+        "novelty/distance",
+        "grasptta/displacement",
+    ):
+        assert list(found["metrics"][metric]["values"]) == ROWS
+    for entry in found["metrics"].values():
+        for row in entry["values"].values():
+            for cell in row.values():
+                assert cell["low"] <= cell["value"] + 1e-9
+                assert cell["value"] <= cell["high"] + 1e-9
+    assert found["metrics"]["halo/volume"]["values"]["CoarseNet"]["ring"]["n"] == 3
+    assert found["metrics"]["penetration/max"]["values"]["CoarseNet"]["ring"]["n"] == 4
+    # The baseline's hands are training hands.
+    assert found["metrics"]["novelty/distance"]["values"]["Naive baseline"]["all"]["value"] < 1e-4
+    for name in ("coarsenet", "refinenet"):
+        file = Path(found["networks"][name]["file"])
+        assert found["networks"][name]["sha256"] == sha256(file)
+
+
+def test_csv_and_latex_say_what_json_says(folder):
+    found = results(folder)
+    with (folder / "metrics.csv").open(encoding="utf-8") as file:
+        lines = list(csv.DictReader(file))
+    for line in lines:
+        if line["protocol"] == "reconstruction":
+            continue
+        cell = found["metrics"][f"{line['protocol']}/{line['metric']}"]["values"][line["row"]][line["object"]]
+        assert float(line["value"]) == cell["value"]
+        assert int(line["n"]) == cell["n"]
+    assert sum(line["protocol"] == "reconstruction" for line in lines) == 2 * len(found["reconstruction"])
+    latex = (folder / "tables.tex").read_text(encoding="utf-8")
+    rows = [line for line in latex.splitlines() if line.endswith(r"\\")]
+    assert sum(line.startswith("CoarseNet + RefineNet &") for line in rows) == 1
+    assert not re.search(r"(?<!\\)_", "".join(rows))
+
+
+def test_grasps_csv_gives_the_means(folder):
+    with (folder / "grasps.csv").open(encoding="utf-8") as file:
+        lines = [line for line in csv.DictReader(file) if line["row"] == "CoarseNet"]
+    assert len(lines) == 4
+    mean = np.mean([float(line["penetration/max (mm)"]) for line in lines])
+    assert mean == pytest.approx(results(folder)["metrics"]["penetration/max"]["values"]["CoarseNet"]["all"]["value"])
+
+
+def test_the_report_is_one_page_that_fetches_nothing(folder):
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert not re.search(r"""(src|href)=["'](?!data:|#)""", page)
+    assert "://" not in re.sub(r"<pre>.*?</pre>", "", re.sub(r"base64,[^\"]*", "", page), flags=re.S)
+    for row in ROWS:
+        assert row in page
+    for title in ("At a glance", "Reconstruction", "Closest ground truth", "Contact", "Definitions"):
+        assert f"<h2>{title}</h2>" in page
+
+
+def test_contact_is_written_with_the_meshes(folder, tiny_dataset):
+    place = folder / "contact" / "ground_truth"
+    maps = np.load(place / "ring.npz")
+    ring = load_mesh(tiny_dataset / OBJECT_MESHES / "ring.ply")
+    assert maps["object"].shape == (4, len(ring.vertices))
+    assert maps["hand"].shape == maps["hand_vertices"].shape[:2]
+    assert maps["object"].any()
+    assert set(np.unique(maps["hand"])) <= {0, 22, *range(41, 56)}
+    solid = trimesh.load(place / "ring.ply", process=False)
+    share = solid.metadata["_ply_raw"]["vertex"]["data"]["contact"].ravel()
+    np.testing.assert_allclose(share, (maps["object"] > 0).mean(0), atol=1e-6)
+    scene = trimesh.load(place / "ring_000.glb", process=False)
+    touching = scene.geometry["hand"].vertex_attributes["_contact"].ravel()
+    np.testing.assert_array_equal(touching, maps["hand"][0])
+    assert not (place / "ring_001.glb").exists()
+
+
+def test_again_it_is_the_same_and_nothing_is_measured(folder, call, monkeypatch):
+    def never(*_, **__):
+        raise AssertionError("was measured anew")
+
+    for name in ("grabnet.evaluation.measuring._measure", "grabnet.evaluation.run.reconstruction"):
+        monkeypatch.setattr(name, never)
+    monkeypatch.setattr(Grabber, "forward", never)
+    assert figures(call("reconstruction=true", "simulated=2")) == figures(folder)
+
+
+def test_a_fresh_cache_and_two_processes_give_the_same(folder, call, tmp_path):
+    again, before = (results(output)["metrics"] for output in (call("processes=2", f"cache_dir={tmp_path}"), folder))
+    assert "halo/volume" in again
+    assert again == {name: before[name] for name in again}
+
+
+def test_reconstruction_is_what_a_training_run_tells(folder, runs, tiny_dataset, cache_dir, tmp_path):
+    """The same networks, tested by Lightning as at the end of a run."""
+    import lightning as L
+
+    from grabnet.data.datamodule import GraspDataModule
+    from grabnet.models.trained import find_network
+    from grabnet.models.weights import load_coarsenet, load_refinenet
+
+    cfg = compose(
+        "train",
+        [
+            "model=coarsenet",
+            "data=frames",
+            f"data.root={tiny_dataset}",
+            "data.near_points=32",
+            f"data.cache_dir={cache_dir}",
+            "data.val_objects=[can]",
+            "data.test_objects=[ring]",
+        ],
+    )
+    data: GraspDataModule = instantiate(cfg.data, hand=HandModel.open())
+    data.setup()
+    errors = {(e["network"], e["split"], e["object"]): e for e in results(folder)["reconstruction"]}
+    for kind, model, load in (
+        ("CoarseNet", cfg.model, lambda path: load_coarsenet(path)),
+        ("RefineNet", compose("train", ["model=refinenet"]).model, lambda path: load_refinenet(path, data.hand)),
+    ):
+        module = instantiate(model, hand=data.hand, contact=data.contact)
+        module.network = load(find_network(kind, None, runs))
+        trainer = L.Trainer(logger=False, enable_progress_bar=False, accelerator="cpu", default_root_dir=tmp_path)
+        trainer.test(module, datamodule=data, verbose=False)
+        for split in ("train", "val", "test"):
+            for name in ("v2v", "v2v_mae"):
+                told = float(trainer.callback_metrics[f"test/{split}/{name}"])
+                assert errors[kind, split, "all"][name] == pytest.approx(told, rel=1e-5)
+        frames = [e["n"] for (k, _, thing), e in errors.items() if k == kind and thing == "all"]
+        assert frames == [len(data.frames(s)) for s in ("train", "val", "test")]
+
+
+@pytest.fixture
+def made(tmp_path, grabber, tiny_dataset, cache_dir) -> Path:
+    """The same grasps of the ring as parameters and as meshes."""
+    file = tiny_dataset / OBJECT_MESHES / "ring.ply"
+    grasps = grabber(load_mesh(file), 3, cache_dir=cache_dir)
+    parameters, meshes = tmp_path / "parameters" / "ring", tmp_path / "meshes" / "ring"
+    parameters.mkdir(parents=True)
+    meshes.mkdir(parents=True)
+    pose = grasps.parameters
+    np.savez(
+        parameters / "grasps.npz",
+        global_orient=matrix_to_axis_angle(pose.global_orient),
+        hand_pose=matrix_to_axis_angle(pose.hand_pose).flatten(1),
+        transl=pose.transl,
+        betas=grasps.betas,
+    )
+    for i, vertices in enumerate(grasps.vertices.numpy()):
+        hand = trimesh.Trimesh(vertices, grasps.faces.numpy(), process=False)
+        hand.export(meshes / f"hand_{i}.{'ply' if i else 'obj'}", **({} if i else {"digits": 9}))
+    return tmp_path
+
+
+def test_grasps_of_other_methods(call, made):
+    output = call(f"grasps=[{made / 'parameters'},{made / 'meshes'}]")
+    found = results(output)
+    assert list(found["rows"]) == ["Ground truth", "Naive baseline", "parameters", "meshes"]
+    for metric in ("table2/vertices", "halo/volume", "halo/depth", "contact/area", "novelty/distance"):
+        values = found["metrics"][metric]["values"]
+        assert values["parameters"]["all"]["value"] == pytest.approx(values["meshes"]["all"]["value"], rel=1e-3)
+    # Joint angles are not to be had from meshes.
+    assert "meshes" not in found["metrics"]["posture/violations"]["values"]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda p: shutil.rmtree(p / "meshes" / "ring"), "no folder called like an object"),
+        (lambda p: [f.unlink() for f in (p / "meshes" / "ring").iterdir()], "neither grasps.npz nor hand meshes"),
+        (lambda p: trimesh.creation.box().export(p / "meshes" / "ring" / "hand_1.ply"), "one topology"),
+        (lambda p: np.savez(p / "meshes" / "ring" / "grasps.npz", transl=np.zeros((2, 3))), "has no global_orient"),
+        (
+            lambda p: np.savez(
+                p / "meshes" / "ring" / "grasps.npz",
+                global_orient=np.zeros((2, 3)),
+                hand_pose=np.zeros((2, 24)),
+                transl=np.zeros((2, 3)),
+            ),
+            r"hand_pose has shape \(2, 24\)",
+        ),
+    ],
+)
+def test_unusable_grasps_are_refused(call, made, spoil, told):
+    spoil(made)
+    with pytest.raises(UserError, match=told):
+        call(f"grasps={made / 'meshes'}")
+
+
+def test_grasps_for_another_mesh_are_refused(call, made):
+    (made / "parameters" / "ring" / "grasps.json").write_text(json.dumps({"mesh_sha256": "0" * 64}))
+    with pytest.raises(UserError, match="made for another mesh"):
+        call(f"grasps={made / 'parameters'}")
+
+
+@pytest.mark.parametrize(
+    ("override", "told"),
+    [
+        ("n=0", "at least 1"),
+        ("split=tests", "it can be train, val, test"),
+        ("only=[mug]", "only names mug; the test objects are ring"),
+        ("refinenet=anywhere", "without coarsenet"),
+        ("contact_distance=0", "must be positive"),
+    ],
+)
+def test_wrong_values_are_told(call, override, told):
+    with pytest.raises(UserError, match=told):
+        call(override)
+
+
+def test_poses_turned_by_hand(made, tiny_dataset, hand):
+    """Parameters are posed as any model of MANO's schema would be."""
+    from grabnet.evaluation.generated import read_grasps
+
+    hands = read_grasps(made / "parameters", "ring", tiny_dataset / OBJECT_MESHES / "ring.ply", hand, 2)
+    meshes = read_grasps(made / "meshes", "ring", tiny_dataset / OBJECT_MESHES / "ring.ply", hand, 2)
+    assert len(hands) == 2
+    np.testing.assert_allclose(hands.vertices, meshes.vertices, atol=1e-5)
+    assert read_grasps(made / "meshes", "can", tiny_dataset / OBJECT_MESHES / "can.ply", hand, 2) is None
+    assert torch.as_tensor(hands.hand_pose).shape == (2, 15, 3, 3)
