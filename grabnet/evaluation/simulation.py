@@ -117,6 +117,8 @@ class Simulation:
         mujoco.mj_resetData(model, data)
         model.opt.gravity[:] = gravity
         moved = turned = 0.0
+        heard = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(_ignore)
         try:
             mujoco.mj_forward(model, data)
             start, orientation = data.xipos[1].copy(), data.xmat[1].reshape(3, 3).copy()
@@ -130,6 +132,8 @@ class Simulation:
                     break
         except (ValueError, RuntimeError, mujoco.FatalError) as error:
             raise SimulationError(_in_one_line(error)) from None
+        finally:
+            mujoco.set_mju_user_warning(heard)
         for kind, warning in enumerate(data.warning):
             if warning.number:
                 raise SimulationError(_in_one_line(mujoco.mju_warningText(kind, warning.lastinfo)))
@@ -147,6 +151,10 @@ def _add(
     mesh.uservert = np.asarray(corners, np.float32).ravel()
     geom = mujoco.mjtGeom.mjGEOM_MESH
     body.add_geom(type=geom, meshname=name, friction=[friction, _TORSION, _ROLLING], condim=4, **options)
+
+
+def _ignore(warning: str) -> None:
+    """MuJoCo would print its warnings, and log them to a file in the current folder; its data tell of them, too."""
 
 
 def _in_one_line(message: object) -> str:

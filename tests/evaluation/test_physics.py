@@ -106,12 +106,13 @@ def test_two_blocks_weigh_like_the_box_they_make():
 
 
 def test_diverging_numbers_and_unusable_solids_are_failures(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # MuJoCo logs its warnings to a file here
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(SimulationError, match=r"QACC|QVEL|QPOS"):
         let_go(plates(), gravity=1e12 * DOWN)
     for solid in (np.zeros((4, 3)), np.full((4, 3), np.nan), np.eye(3)):
         with pytest.raises(SimulationError):
             let_go([solid])
+    assert not list(tmp_path.iterdir())  # no log that nobody asked for
 
 
 @pytest.fixture(scope="module")
