@@ -12,7 +12,7 @@ from grabnet.open.sequences.motion import Pose
 # Degrees, about what people can do: (lowest, highest) and where they like to be.
 SUPINATION, WRIST_FLEXION, WRIST_DEVIATION = ((-15, 160), 70), ((-65, 65), 0), ((-32, 32), 0)
 SWIVEL = ((-50, 85), 10)
-LONGEST_REACH, SHORTEST_REACH = 0.985, 0.42  # shares of the arm's length
+LONGEST_REACH, SHORTEST_REACH = 0.985, 0.32  # shares of the arm's length
 TWIST_OF_FOREARM = 0.6  # share of pronation that the forearm takes; the wrist has the rest, as skin does
 
 

@@ -28,12 +28,13 @@ from grabnet.open.grasps.store import OPEN_GRASPS, OpenGrasps, load_open_grasps
 from grabnet.open.objects.writing import write_objects
 from grabnet.open.sequences.actor import Actor
 from grabnet.open.sequences.checks import Measures, measure
+from grabnet.open.sequences.labelling import with_contact
 from grabnet.open.sequences.performance import InfeasibleError
 from grabnet.open.sequences.plans import Scene
 from grabnet.open.sequences.props import Holds, Prop
 from grabnet.open.sequences.setting import TABLE_HEIGHTS, Table
 from grabnet.open.sequences.uses import use_of
-from grabnet.open.sequences.writing import to_sequence, with_contact, write_table
+from grabnet.open.sequences.writing import to_sequence, write_table
 from grabnet.provenance import provenance
 
 SHARES = {"use": 0.43, "pass": 0.28, "lift": 0.2, "offhand": 0.09}  # of the recordings, about GRAB's
@@ -138,9 +139,9 @@ def schedule(grasps: OpenGrasps, number: int, seed: int, subjects: Sequence[str]
 # Symmetric objects, which a left hand can take as a right one does, and large enough for two.
 TWO_HANDED = frozenset(
     {
-        "airplane", "binoculars", "bowl", "camera", "cubelarge", "cubemedium", "cup", "cylinderlarge", "cylindermedium",
-        "duck", "elephant", "flashlight", "flute", "fryingpan", "hammer", "headphones", "mug", "piggybank",
-        "spherelarge", "stanfordbunny", "teapot", "toruslarge", "train", "waterbottle", "wineglass",
+        "airplane", "binoculars", "bowl", "cubelarge", "cup", "cylinderlarge", "duck", "elephant", "flashlight", "flute",
+        "fryingpan", "headphones", "mug", "spherelarge", "stanfordbunny", "teapot", "toothbrush", "toothpaste",
+        "toruslarge", "train", "waterbottle", "wineglass",
     }
 )  # fmt: skip
 
@@ -187,7 +188,7 @@ def record(entry: Entry, root: Path, seed: int) -> dict[str, Any]:
         if faults := found.beyond(Measures()):
             rejected.update(faults)
             continue
-        sequence = with_contact(sequence, stage, prop.mesh)
+        sequence = with_contact(sequence, actor, prop)
         report = {
             "frames": len(sequence),
             "table_height": round(table.top - actor.floor, 4),

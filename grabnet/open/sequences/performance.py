@@ -84,7 +84,7 @@ class Performance:
                 pose = self.solve(side, goal.wrist, swivel, trunks)
                 if (pose.reach > LONGEST_REACH).any():
                     raise InfeasibleError("out of reach on the way")
-                if np.isinf(effort(pose, np.zeros(n))).mean() > 0.2:
+                if np.isinf(effort(pose, np.zeros(n))).mean() > 0.35:
                     raise InfeasibleError("wrist beyond its limits on the way")
                 rotations = pose.rotations
                 self._swivel[side] = goal.swivel
