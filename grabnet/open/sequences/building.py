@@ -139,8 +139,8 @@ def schedule(grasps: OpenGrasps, number: int, seed: int, subjects: Sequence[str]
 # Symmetric objects, which a left hand can take as a right one does, and large enough for two.
 TWO_HANDED = frozenset(
     {
-        "airplane", "binoculars", "bowl", "cubelarge", "cup", "cylinderlarge", "duck", "elephant", "flashlight", "flute",
-        "fryingpan", "headphones", "mug", "spherelarge", "stanfordbunny", "teapot", "toothbrush", "toothpaste",
+        "airplane", "binoculars", "bowl", "cubelarge", "cup", "cylinderlarge", "duck", "elephant", "flashlight",
+        "flute", "fryingpan", "headphones", "mug", "spherelarge", "stanfordbunny", "teapot", "toothbrush", "toothpaste",
         "toruslarge", "train", "waterbottle", "wineglass",
     }
 )  # fmt: skip

@@ -19,9 +19,9 @@ from grabnet.open.sequences.motion import Pose
 
 UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from z up to y up
 _OPENINGS = (0.45, 0.2, 0.7)  # shares of a grasp's flexion that open hands keep, in the order of trial
-# Recorded hands are millimetres deep in the objects that they hold, since flesh gives way and body models do not (3.25 mm
-# on average in the paper). Metres that each finger is pressed in, the least that counts as pressed (thin walls allow
-# less), and what is tried to get there: radians added to the flexion of its joints.
+# Recorded hands are millimetres deep in the objects that they hold, since flesh gives way and body models do not (on
+# average 3.25 mm in the paper). Metres that each finger is pressed in, the least that counts as pressed (thin walls
+# allow less), and what is tried to get there: radians added to the flexion of its joints.
 _PRESSED, _BARELY_PRESSED = 0.0045, 0.0035
 _PRESSES = np.arange(0, 0.45, 0.02)
 _RELEASES = -np.arange(0, 0.21, 0.01)
