@@ -117,6 +117,12 @@ def effort(pose: ArmPose, swivel: np.ndarray) -> np.ndarray:
     return np.where(beyond, np.inf, total)
 
 
+def strained(pose: ArmPose, margin: float = 18) -> np.ndarray:
+    """(N,) whether a wrist is more than `margin` degrees beyond its limits, as may not even be passed through."""
+    limits = ((pose.supination, SUPINATION), (pose.flexion, WRIST_FLEXION), (pose.deviation, WRIST_DEVIATION))
+    return np.any([(v < low - margin) | (v > high + margin) for v, ((low, high), _) in limits], axis=0)
+
+
 def _about_thumb(bend: np.ndarray, twisted: Rotation) -> np.ndarray:
     """Flexion: the part of a bend about the hand's thumb side (z), in radians."""
     return (bend * twisted.apply([0.0, 0, 1])).sum(-1)

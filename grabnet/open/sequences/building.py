@@ -65,23 +65,22 @@ def build_sequences(
         subjects: names; all ten when omitted.
 
     Raises:
-        UserError: numbers that ask for nothing, or an unknown subject.
+        UserError: numbers that ask for nothing, an unknown subject, or sequences there that were made otherwise.
     """
     root, grasps = Path(root), load_open_grasps()
     if number < 1 or processes < 1:
         raise UserError(f"--number {number} and --processes {processes} must be at least 1.")
     if unknown := sorted(set(subjects or ()) - set(grasps.subjects)):
         raise UserError(f"There is no subject {', '.join(unknown)}; choose from {', '.join(grasps.subjects)}.")
+    body_hash = sha256(OPEN_BODY / "SMPLX_NEUTRAL.npz", OPEN_BODY / "subjects.npz")
+    recipe = {"seed": seed, "subjects": list(subjects or grasps.subjects), "grasps_sha256": sha256(OPEN_GRASPS)}
+    recipe["body_sha256"] = body_hash
+    _claim(root, recipe)
     write_objects(root, processes)
     body = open_body()
     write_subjects(root, body, open_subjects(body, grasps))
     write_table(root)
-    entries = schedule(grasps, number, seed, tuple(subjects or grasps.subjects))
-    recipe = {
-        "seed": seed,
-        "grasps_sha256": sha256(OPEN_GRASPS),
-        "body_sha256": sha256(OPEN_BODY / "SMPLX_NEUTRAL.npz"),
-    }
+    entries = schedule(grasps, number, seed, tuple(recipe["subjects"]))
     missing = [entry for entry in entries if not _file(root, entry).exists()]
     console = Console()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -108,6 +107,18 @@ def build_sequences(
     )
     write_json(root / "sequences.json", summary)
     console.print(f"Wrote {len(made)} sequences, {summary['frames']} frames, to {root / 'grab'}.")
+
+
+def _claim(root: Path, recipe: dict[str, Any]) -> None:
+    """Note what the sequences below `root` are made from; refuse to mix them with others."""
+    path = root / _REPORTS / "recipe.json"
+    if path.exists() and (there := json.loads(path.read_text(encoding="utf-8"))) != recipe:
+        other = ", ".join(key for key in recipe if there.get(key) != recipe[key])
+        raise UserError(
+            f"{root} holds sequences made with another {other}: choose another --root, or delete {root / 'grab'} and "
+            f"{root / _REPORTS} first."
+        )
+    write_json(path, recipe)
 
 
 def schedule(grasps: OpenGrasps, number: int, seed: int, subjects: Sequence[str]) -> list[Entry]:

@@ -10,7 +10,7 @@ from grabnet.body.hand import HandModel
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import load_below, read_sequence
 from grabnet.errors import UserError
-from grabnet.files import sha256
+from grabnet.files import sha256, write_json
 from grabnet.geometry.mesh import save_mesh
 from grabnet.npz import read_npz
 from grabnet.open.body.subjects import OPEN_BODY, open_body, open_subjects, write_subjects
@@ -171,3 +171,6 @@ def test_nonsense_is_refused(tmp_path):
         build_sequences(tmp_path, 0)
     with pytest.raises(UserError, match="no subject s11; choose from s1"):
         build_sequences(tmp_path, 1, subjects=["s11"])
+    write_json(tmp_path / "reports" / "recipe.json", {"seed": 1})
+    with pytest.raises(UserError, match=r"sequences made with another seed, .*choose another --root"):
+        build_sequences(tmp_path, 1)
