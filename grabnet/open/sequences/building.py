@@ -39,7 +39,7 @@ from grabnet.provenance import provenance
 
 SHARES = {"use": 0.43, "pass": 0.28, "lift": 0.2, "offhand": 0.09}  # of the recordings, about GRAB's
 _LIES_AS_MODELLED = 0.75  # share of draws in which the object stands as it was modelled
-_ATTEMPTS = 40
+_ATTEMPTS = 30
 _REPORTS = "reports"
 
 
@@ -80,33 +80,34 @@ def build_sequences(
     body = open_body()
     write_subjects(root, body, open_subjects(body, grasps))
     write_table(root)
-    entries = schedule(grasps, number, seed, tuple(recipe["subjects"]))
-    missing = [entry for entry in entries if not _file(root, entry).exists()]
     console = Console()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console) as progress:
-        task = progress.add_task("sequences", total=len(entries), completed=len(entries) - len(missing))
-        for entry, report in _made(missing, root, seed, processes):
-            if "given_up" in report:
-                progress.console.print(f"{entry.name}: given up ({report['rejected']})")
-            progress.advance(task)
-    reports = {}
-    for entry in entries:
-        file = root / _REPORTS / f"{entry.name}.json"
-        if file.exists():
-            reports[entry.name] = json.loads(file.read_text())
-    made = [name for name, report in reports.items() if "given_up" not in report]
+        task = progress.add_task("sequences", total=number)
+        planned, reports = 0, {}
+        while (made := sum("given_up" not in report for report in reports.values())) < number:
+            planned += number - made  # others take the place of those given up
+            entries = schedule(grasps, planned, seed, tuple(recipe["subjects"]))[len(reports) :]
+            there = {entry.name: report for entry in entries if (report := _reported(root, entry))}
+            progress.advance(task, sum("given_up" not in report for report in there.values()))
+            for entry, report in _made([e for e in entries if e.name not in there], root, seed, processes):
+                there[entry.name] = report
+                if "given_up" in report:
+                    progress.console.print(f"{entry.name}: given up ({report['rejected']}); another takes its place")
+                else:
+                    progress.advance(task)
+            reports |= {entry.name: there[entry.name] for entry in entries}
     summary = provenance(
         source="scripts/build_open.py sequences: planned and moved by inverse kinematics; nobody was recorded",
         licence="CC0-1.0",
         recipe=recipe,
-        sequences=len(made),
-        frames=sum(reports[name]["frames"] for name in made),
+        sequences=made,
+        frames=sum(report.get("frames", 0) for report in reports.values()),
         rejected=dict(sum((Counter(r["rejected"]) for r in reports.values()), Counter()).most_common()),
         reports=reports,
     )
     write_json(root / "sequences.json", summary)
-    console.print(f"Wrote {len(made)} sequences, {summary['frames']} frames, to {root / 'grab'}.")
+    console.print(f"Wrote {made} sequences, {summary['frames']} frames, to {root / 'grab'}.")
 
 
 def _claim(root: Path, recipe: dict[str, Any]) -> None:
@@ -214,6 +215,15 @@ def record(entry: Entry, root: Path, seed: int) -> dict[str, Any]:
     report = {"given_up": _ATTEMPTS, "rejected": dict(rejected)}
     write_json(root / _REPORTS / f"{entry.name}.json", report)
     return report
+
+
+def _reported(root: Path, entry: Entry) -> dict[str, Any] | None:
+    """The report of a recording that is there, or was given up."""
+    path = root / _REPORTS / f"{entry.name}.json"
+    if not path.exists():
+        return None
+    report = json.loads(path.read_text(encoding="utf-8"))
+    return report if "given_up" in report or _file(root, entry).exists() else None
 
 
 def _file(root: Path, entry: Entry) -> Path:
