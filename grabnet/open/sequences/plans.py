@@ -181,7 +181,7 @@ class Scene:
         above = Pose(before.rotation, before.position + _ABOVE)
         arms = {hold.side: stage.at(hold.side, above, swivel, reach.trunk), other: self.actor.hanging(other)}
         relaxed = {hold.side: hold.open, other: 0.3 * hold.open}
-        stage.move(self._seconds(1.1, 1.4) if first else 0.5, reach.trunk, **arms, fingers=relaxed)
+        stage.move(self._seconds(1.1, 1.4) if first else 0.65, reach.trunk, **arms, fingers=relaxed)
         stage.move(0.35, **{hold.side: Guided(travel(above, before, round(0.35 * FRAMERATE)), swivel)})
         path = travel(before, reach.thing @ hold.wrist, round(0.4 * FRAMERATE))
         stage.move(0.4, **{hold.side: Guided(path, swivel)})

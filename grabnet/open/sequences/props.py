@@ -171,8 +171,9 @@ class Holds:
         tried = closed + changes[:, None] * bends
         vertices = self.actor.hand_vertices(side, wrist, tried)
         depth = -self.prop.distance(vertices.reshape(-1, 3)).reshape(n, -1)
+        beyond_base = (anatomy.bone.numpy() - 1) % 3 > 0  # the base of the thumb is part of the palm
         for finger, name in enumerate(FINGERS):
-            own = depth[:, anatomy.finger.numpy() == finger].max(1)
+            own = depth[:, (anatomy.finger.numpy() == finger) & beyond_base].max(1)
             press, release = own[: len(_PRESSES)], own[len(_PRESSES) :]
             if own[0] < -0.003:
                 continue  # it does not touch
