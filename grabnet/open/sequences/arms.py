@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from grabnet.open.sequences.motion import Pose
 
-# Degrees, about what people can do: (lowest, highest) and where they like to be.
-SUPINATION, WRIST_FLEXION, WRIST_DEVIATION = ((-15, 160), 70), ((-65, 65), 0), ((-32, 32), 0)
+# Degrees, about what people can do: (lowest, highest) and where they like to be. Supination is 0 with the thumb on the
+# side to which the elbow bends, as in T-pose; palms down before the body are negative.
+SUPINATION, WRIST_FLEXION, WRIST_DEVIATION = ((-88, 90), -20), ((-65, 65), 0), ((-32, 32), 0)
 SWIVEL = ((-50, 85), 10)
 LONGEST_REACH, SHORTEST_REACH = 0.985, 0.32  # shares of the arm's length
 TWIST_OF_FOREARM = 0.6  # share of pronation that the forearm takes; the wrist has the rest, as skin does

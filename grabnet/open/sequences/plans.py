@@ -238,10 +238,10 @@ class Scene:
         """(N, N) whether a left grasp leaves a right one room, and that one can put the object down afterwards."""
         return (self.holds.apart > _ROOM) & (self.holds.clearance("right", self.rest) > -0.0005)
 
-    def _hand_over(self, first: Hold, thing: Pose, n: int = 6000, tries: int = 40) -> tuple[Hold, Reach]:
+    def _hand_over(self, first: Hold, thing: Pose, n: int = 15000, tries: int = 60) -> tuple[Hold, Reach]:
         """A place before the chest, and a grasp of the right hand that leaves the left one room."""
         actor = self.actor
-        things = somewhere(self.rng, self.prop, thing.rotation, (-0.12, 0.12, 0.25), (0.12, 0.4, 0.45), 0.5, 0.9, n)
+        things = somewhere(self.rng, self.prop, thing.rotation, (-0.15, 0.12, 0.25), (0.15, 0.4, 0.48), 0.7, 1.5, n)
         grasp = self.rng.integers(len(self.holds), size=n)
         free = self._room()[first.number].nonzero()[0]
         grasp = self.rng.choice(free, n)
@@ -268,7 +268,8 @@ class Scene:
             )
             angles = np.stack([hold.open] * 4 + [hold.closed])
             vertices = actor.hand_vertices("right", wrists, angles).reshape(-1, 3)
-            if tree.query(vertices)[0].min() < _HANDS_APART:
+            nearest = tree.query(vertices)[0].reshape(5, -1).min(1)
+            if nearest[4] < _HANDS_APART or nearest.min() < _HANDS_APART / 2:
                 continue
             thing = Pose(things.rotation[i], things.position[i])
             trunk = look_at(actor, draws.trunk[i], thing.points(self.prop.vertices.mean(0)[None])[0])
