@@ -26,7 +26,6 @@ PAPER = FrameFilter(True, True, 0.005, True, 1, 50, 1)
 ENTRIES = [
     Entry(0, "s7/cylindermedium_lift_1", "s7", "cylindermedium", "lift"),
     Entry(1, "s7/cylindermedium_pass_1", "s7", "cylindermedium", "pass"),
-    Entry(2, "s2/flute_offhand_1", "s2", "flute", "offhand"),
 ]
 
 
