@@ -1,0 +1,256 @@
+"""The command that makes open sequences: what is recorded, attempt after attempt, in one process or several."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from grabnet.body.hand import HandModel
+from grabnet.data.objects import OBJECT_MESHES
+from grabnet.data.sequences import write_sequence
+from grabnet.errors import UserError
+from grabnet.files import sha256, write_json
+from grabnet.geometry.mesh import load_mesh
+from grabnet.open.body.subjects import OPEN_BODY, open_body, open_subjects, write_subjects
+from grabnet.open.grasps.store import OPEN_GRASPS, OpenGrasps, load_open_grasps
+from grabnet.open.objects.writing import write_objects
+from grabnet.open.sequences.actor import Actor
+from grabnet.open.sequences.checks import Measures, measure
+from grabnet.open.sequences.labelling import with_contact
+from grabnet.open.sequences.performance import InfeasibleError
+from grabnet.open.sequences.plans import Scene
+from grabnet.open.sequences.props import Holds, Prop
+from grabnet.open.sequences.setting import TABLE_HEIGHTS, Table
+from grabnet.open.sequences.uses import use_of
+from grabnet.open.sequences.writing import to_sequence, write_table
+from grabnet.provenance import provenance
+
+SHARES = {"use": 0.43, "pass": 0.28, "lift": 0.2, "offhand": 0.09}  # of the recordings, about GRAB's
+_LIES_AS_MODELLED = 0.75  # share of draws in which the object stands as it was modelled
+_ATTEMPTS = 30
+_REPORTS = "reports"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One recording to make: its number, and the name of its file below `grab`, such as s1/mug_lift_1."""
+
+    number: int
+    name: str
+    subject: str
+    object: str
+    intent: str
+
+
+def build_sequences(
+    root: str | Path, number: int, seed: int = 0, processes: int = 2, subjects: Sequence[str] | None = None
+) -> None:
+    """Write `number` sequences, meshes of objects and subjects, and `sequences.json` (provenance) below `root`.
+
+    Sequences that are there already are kept: a call that was interrupted goes on. Each depends on seed and number.
+
+    Args:
+        subjects: names; all ten when omitted.
+
+    Raises:
+        UserError: numbers that ask for nothing, an unknown subject, or sequences there that were made otherwise.
+    """
+    root, grasps = Path(root), load_open_grasps()
+    if number < 1 or processes < 1:
+        raise UserError(f"--number {number} and --processes {processes} must be at least 1.")
+    if unknown := sorted(set(subjects or ()) - set(grasps.subjects)):
+        raise UserError(f"There is no subject {', '.join(unknown)}; choose from {', '.join(grasps.subjects)}.")
+    body_hash = sha256(OPEN_BODY / "SMPLX_NEUTRAL.npz", OPEN_BODY / "subjects.npz")
+    recipe = {"seed": seed, "subjects": list(subjects or grasps.subjects), "grasps_sha256": sha256(OPEN_GRASPS)}
+    recipe["body_sha256"] = body_hash
+    _claim(root, recipe)
+    write_objects(root, processes)
+    body = open_body()
+    write_subjects(root, body, open_subjects(body, grasps))
+    write_table(root)
+    console = Console()
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console) as progress:
+        task = progress.add_task("sequences", total=number)
+        planned, reports = 0, {}
+        while (made := sum("given_up" not in report for report in reports.values())) < number:
+            planned += number - made  # others take the place of those given up
+            entries = schedule(grasps, planned, seed, tuple(recipe["subjects"]))[len(reports) :]
+            there = {entry.name: report for entry in entries if (report := _reported(root, entry))}
+            progress.advance(task, sum("given_up" not in report for report in there.values()))
+            for entry, report in _made([e for e in entries if e.name not in there], root, seed, processes):
+                there[entry.name] = report
+                if "given_up" in report:
+                    progress.console.print(f"{entry.name}: given up ({report['rejected']}); another takes its place")
+                else:
+                    progress.advance(task)
+            reports |= {entry.name: there[entry.name] for entry in entries}
+    summary = provenance(
+        source="scripts/build_open.py sequences: planned and moved by inverse kinematics; nobody was recorded",
+        licence="CC0-1.0",
+        recipe=recipe,
+        sequences=made,
+        frames=sum(report.get("frames", 0) for report in reports.values()),
+        rejected=dict(sum((Counter(r["rejected"]) for r in reports.values()), Counter()).most_common()),
+        reports=reports,
+    )
+    write_json(root / "sequences.json", summary)
+    console.print(f"Wrote {made} sequences, {summary['frames']} frames, to {root / 'grab'}.")
+
+
+def _claim(root: Path, recipe: dict[str, Any]) -> None:
+    """Note what the sequences below `root` are made from; refuse to mix them with others."""
+    path = root / _REPORTS / "recipe.json"
+    if path.exists() and (there := json.loads(path.read_text(encoding="utf-8"))) != recipe:
+        other = ", ".join(key for key in recipe if there.get(key) != recipe[key])
+        raise UserError(
+            f"{root} holds sequences made with another {other}: choose another --root, or delete {root / 'grab'} and "
+            f"{root / _REPORTS} first."
+        )
+    write_json(path, recipe)
+
+
+def schedule(grasps: OpenGrasps, number: int, seed: int, subjects: Sequence[str]) -> list[Entry]:
+    """What to record; the first entries are the same whatever the number."""
+    entries: list[Entry] = []
+    counts: Counter[tuple[str, str, str]] = Counter()
+    objects: list[str] = []
+    for i in range(number):
+        rng = np.random.default_rng([seed, 0, i])
+        if not objects:
+            objects = list(rng.permutation(grasps.objects))
+        name = objects.pop()
+        number_of = grasps.objects.index(name)
+        able = [s for k, s in enumerate(grasps.subjects)
+                if s in subjects and ((grasps.object == number_of) & (grasps.subject == k)).any()]  # fmt: skip
+        if not able:
+            able, name = [subjects[i % len(subjects)]], _any_object(grasps, subjects[i % len(subjects)], rng)
+        subject = able[rng.integers(len(able))]
+        intent = str(rng.choice(list(SHARES), p=list(SHARES.values())))
+        if intent == "offhand" and name not in TWO_HANDED:
+            intent = "pass"
+        action = use_of(name).action if intent == "use" else intent
+        counts[subject, name, action] += 1
+        k = counts[subject, name, action]
+        entries.append(Entry(i, f"{subject}/{name}_{action}_{k}", subject, name, intent))
+    return entries
+
+
+# Symmetric objects, which a left hand can take as a right one does, and large enough for two.
+TWO_HANDED = frozenset(
+    {
+        "airplane", "binoculars", "bowl", "cubelarge", "cup", "cylinderlarge", "duck", "elephant", "flashlight",
+        "flute", "fryingpan", "headphones", "mug", "spherelarge", "stanfordbunny", "teapot", "toothbrush", "toothpaste",
+        "toruslarge", "train", "waterbottle", "wineglass",
+    }
+)  # fmt: skip
+
+
+def _any_object(grasps: OpenGrasps, subject: str, rng: np.random.Generator) -> str:
+    own = grasps.object[grasps.subject == grasps.subjects.index(subject)].unique()
+    return grasps.objects[int(own[rng.integers(len(own))])]
+
+
+def _made(entries: Sequence[Entry], root: Path, seed: int, processes: int) -> Iterator[tuple[Entry, dict[str, Any]]]:
+    if processes == 1:
+        for entry in entries:
+            yield entry, record(entry, root, seed)
+        return
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+        jobs = {pool.submit(record, entry, root, seed): entry for entry in entries}
+        for done in as_completed(jobs):
+            yield jobs[done], done.result()
+
+
+def record(entry: Entry, root: Path, seed: int) -> dict[str, Any]:
+    """Draw until a recording passes all checks, and write it.
+
+    Returns:
+        its report: frames, what the checks measured, and how many draws failed for which reason.
+    """
+    torch.set_num_threads(1)  # sums in another order would give other motions
+    actor, prop = _actor(entry.subject), _prop(root, entry.object)
+    holds = Holds(prop, actor, _grasps())
+    rejected: Counter[str] = Counter()
+    for attempt in range(_ATTEMPTS):
+        rng = np.random.default_rng([seed, 1, entry.number, attempt])
+        rests = prop.rests
+        rest = rests[0] if rng.random() < _LIES_AS_MODELLED else rests[rng.integers(len(rests))]
+        table = Table(rng.uniform(*TABLE_HEIGHTS) + actor.floor)
+        heading, spot = rng.uniform(-np.pi, np.pi), rng.normal(0, 0.3, 2)
+        try:
+            stage, _ = Scene(actor, prop, holds, table, rest, rng).make(entry.intent)
+        except InfeasibleError as error:
+            rejected[str(error)] += 1
+            continue
+        sequence = to_sequence(stage, table, entry.name, entry.object, entry.intent, heading, spot)
+        found = measure(sequence, stage, prop, table)
+        if faults := found.beyond(Measures()):
+            rejected.update(faults)
+            continue
+        sequence = with_contact(sequence, actor, prop)
+        report = {
+            "frames": len(sequence),
+            "table_height": round(table.top - actor.floor, 4),
+            "measures": found.rounded(),
+            "held_frames": sum(bool(h) for h in stage.held),
+            "attempts": attempt + 1,
+            "rejected": dict(rejected),
+        }
+        write_json(root / _REPORTS / f"{entry.name}.json", report)
+        write_sequence(_file(root, entry), sequence)
+        return report
+    report = {"given_up": _ATTEMPTS, "rejected": dict(rejected)}
+    write_json(root / _REPORTS / f"{entry.name}.json", report)
+    return report
+
+
+def _reported(root: Path, entry: Entry) -> dict[str, Any] | None:
+    """The report of a recording that is there, or was given up."""
+    path = root / _REPORTS / f"{entry.name}.json"
+    if not path.exists():
+        return None
+    report = json.loads(path.read_text(encoding="utf-8"))
+    return report if "given_up" in report or _file(root, entry).exists() else None
+
+
+def _file(root: Path, entry: Entry) -> Path:
+    return root / "grab" / f"{entry.name}.npz"
+
+
+@cache
+def _grasps() -> OpenGrasps:
+    return load_open_grasps()
+
+
+@cache
+def _actor(subject: str) -> Actor:
+    found = {s.name: s for s in _subjects()}
+    return Actor(found[subject], _body(), HandModel.open())
+
+
+@cache
+def _body():
+    return open_body()
+
+
+@cache
+def _subjects():
+    return open_subjects(_body(), _grasps())
+
+
+@cache
+def _prop(root: Path, name: str) -> Prop:
+    return Prop(name, load_mesh(root / OBJECT_MESHES / f"{name}.ply", weld=False))
