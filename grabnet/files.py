@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -14,6 +15,9 @@ from typing import Any
 import numpy as np
 
 from grabnet.errors import UserError
+
+# What a disk says that takes no more.
+DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES}
 
 
 @contextmanager
@@ -36,6 +40,12 @@ def replacing(path: str | Path) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def leftovers(path: str | Path) -> list[Path]:
+    """What processes that were killed within `replacing(path)` left half-written; `path` may hold wildcards."""
+    path = Path(path)
+    return [p for p in path.parent.glob(f".{path.stem}-????????{path.suffix}") if p.is_file()]
 
 
 def write_json(path: str | Path, value: Any) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -14,8 +13,8 @@ from rich.progress import track
 from torch import Tensor
 
 from grabnet.body.hand import HandModel, HandParameters
-from grabnet.data.datamodule import SPLITS
-from grabnet.data.frames import finish_store, write_shard
+from grabnet.data.splits import SPLITS
+from grabnet.data.frames import finish_store, is_made_by, write_shard
 from grabnet.data.objects import object_files
 from grabnet.errors import UserError
 from grabnet.files import existing, sha256
@@ -69,8 +68,7 @@ class GrabnetRelease:
             "frames": {split: len(frames) for split, frames in names.items()},
             "hand_sha256": sha256(self.hand.v_template.numpy()),
         }
-        card = self.root / "frames" / "store.json"
-        if card.exists() and json.loads(card.read_text())["provenance"].get("recipe") == recipe:
+        if is_made_by(self.root / "frames", recipe):
             return
         subjects = read_subjects(folder / "sbj_info.npy", len(self.hand.v_template))
         checks = {split: self._convert(folder / split, frames, subjects) for split, frames in names.items()}

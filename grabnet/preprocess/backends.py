@@ -1,0 +1,88 @@
+"""Doing one piece of work after another in many processes, of this machine or of a cluster; some of which may die."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+
+from joblib import Parallel, delayed
+
+from grabnet.errors import UserError
+from grabnet.preprocess.sequence_work import Outcome
+
+Work = Callable[[str], Outcome]
+# Seconds to find a scheduler in.
+_PATIENCE = 20
+
+
+def machine_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def by_joblib(work: Work, names: Sequence[str], workers: int, max_deaths: int) -> Iterator[Outcome]:
+    """Do the work for each name in processes of this machine; outcomes as they come.
+
+    When a process dies, what was not done goes on in new ones. Which of the names is to blame cannot be told where
+    several are worked on at once: after a second death they are worked on one by one, and whichever has killed
+    `max_deaths` processes alone has failed.
+    """
+    if workers == 1:
+        yield from map(work, names)
+        return
+    left, deaths = dict.fromkeys(names, 0), 0
+    while left:
+        alone = deaths > 1
+        parallel = Parallel(
+            workers, return_as="generator_unordered", batch_size=1, pre_dispatch=1 if alone else "2*n_jobs"
+        )
+        try:
+            for outcome in parallel(delayed(work)(name) for name in list(left)):
+                del left[outcome.name]
+                yield outcome
+        except BrokenProcessPool:
+            deaths += 1
+            if alone:
+                name = next(iter(left))
+                left[name] += 1
+                if left[name] == max_deaths:
+                    del left[name]
+                    yield Outcome(name, _killed(max_deaths))
+
+
+def by_dask(work: Work, names: Sequence[str], scheduler: str) -> Iterator[Outcome]:
+    """Do the work for each name on the cluster of a scheduler; outcomes as they come.
+
+    What a worker had when it died goes to another one, until it has killed more than the scheduler's
+    `allowed-failures`, 3 unless configured otherwise.
+
+    Raises:
+        UserError: dask is not installed, or no scheduler answers.
+    """
+    try:
+        from distributed import Client, KilledWorker, as_completed
+    except ImportError:
+        raise UserError("backend=dask needs dask: pip install -e '.[cluster]'.") from None
+    try:
+        client = Client(scheduler, timeout=_PATIENCE, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise UserError(
+            f"No dask scheduler answers at scheduler={scheduler} ({error}): start one, or name it."
+        ) from None
+    with client:
+        name_of = {client.submit(work, name, pure=False): name for name in names}
+        for future in as_completed(name_of):
+            error = future.exception()
+            if isinstance(error, KilledWorker):
+                yield Outcome(name_of[future], _killed())
+            elif error is not None:
+                raise error
+            else:
+                yield future.result()
+            future.release()
+
+
+def _killed(times: int | None = None) -> str:
+    often = f"{times} times" if times else "again and again"
+    return f"The process that worked on it died {often}, perhaps for want of memory."
