@@ -42,10 +42,14 @@ def replacing(path: str | Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def leftovers(path: str | Path) -> list[Path]:
-    """What processes that were killed within `replacing(path)` left half-written; `path` may hold wildcards."""
-    path = Path(path)
-    return [p for p in path.parent.glob(f".{path.stem}-????????{path.suffix}") if p.is_file()]
+def leftovers(folder: str | Path, *names: str) -> list[Path]:
+    """What processes that were killed within `replacing` left half-written of files of these names below a folder.
+
+    Args:
+        names: `<stem>.<suffix>`, either of which may be *, after folders, which may be * as well.
+    """
+    patterns = [Path(name).parent / f".{Path(name).stem}-????????{Path(name).suffix}" for name in names]
+    return [path for pattern in patterns for path in Path(folder).glob(str(pattern)) if path.is_file()]
 
 
 def write_json(path: str | Path, value: Any) -> None:

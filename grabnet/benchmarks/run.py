@@ -23,6 +23,7 @@ SUITES = {
     "train": "one training step of each network",
     "sample": "grasps of a new mesh",
     "contact": "which vertices touch, of a whole body and an object",
+    "preprocess": "from recordings to training frames, and loading these",
 }
 
 

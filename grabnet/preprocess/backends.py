@@ -5,15 +5,30 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
 
 from joblib import Parallel, delayed
 
 from grabnet.errors import UserError
-from grabnet.preprocess.sequence_work import Outcome
 
-Work = Callable[[str], Outcome]
 # Seconds to find a scheduler in.
 _PATIENCE = 20
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How the work on a recording ended.
+
+    failure: why there are no frames of it, in a sentence. worker: host and process. peak_bytes: of that process so far.
+    """
+
+    name: str
+    failure: str | None
+    worker: str = ""
+    peak_bytes: int = 0
+
+
+Work = Callable[[str], Outcome]
 
 
 def machine_cores() -> int:
@@ -72,7 +87,7 @@ def by_dask(work: Work, names: Sequence[str], scheduler: str) -> Iterator[Outcom
         ) from None
     with client:
         name_of = {client.submit(work, name, pure=False): name for name in names}
-        for future in as_completed(name_of):
+        for future in as_completed(name_of, loop=client.loop):
             error = future.exception()
             if isinstance(error, KilledWorker):
                 yield Outcome(name_of[future], _killed())

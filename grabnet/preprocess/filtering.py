@@ -104,9 +104,9 @@ class Waterfall:
         """
         position = [("split", "intent", "object").index(aspect) for aspect in aspects]
         groups: dict[tuple[str, ...], Counter[str]] = {}
-        for key, counter in sorted(self.counts.items()):
+        for key, counter in self.counts.items():
             groups.setdefault(tuple(key[i] for i in position), Counter()).update(counter)
-        return {key: dict(counter) for key, counter in groups.items()}
+        return {key: dict(counter) for key, counter in sorted(groups.items())}
 
 
 def frames_left(passed: Mapping[str, np.ndarray]) -> dict[str, int]:

@@ -81,9 +81,10 @@ class GraspTrack:
 
         Args:
             chosen: (N,) frame numbers.
-            centroid: (3,) of the object's mesh, in its own frame.
+            centroid: (3,) of the recorded object's mesh, in its own frame.
         """
         hand, thing = self.hand, self.object
+        centroid = _FLIP * centroid if self.is_mirrored else centroid
         origin = thing.to_world(torch.as_tensor(centroid, dtype=torch.float32).view(1, 3), chosen)[:, 0]
         return {
             "global_orient": torch.as_tensor(hand.global_orient[chosen]),

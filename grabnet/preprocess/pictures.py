@@ -30,7 +30,7 @@ def draw_waterfall(waterfall: Waterfall, path: Path) -> None:
     _draw_steps(parts[0], in_all)
     for axes, (aspect, left_of) in zip(parts[1:], groups.items(), strict=True):
         _draw_shares(axes, aspect, left_of)
-    parts[-1].set_xticks(range(len(in_all)), in_all, rotation=20, ha="right")
+    parts[-1].set_xticks(range(len(in_all)), in_all, rotation=20, ha="right", fontsize=8)
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=110, metadata={"Software": None})
 

@@ -39,12 +39,12 @@ from grabnet.data.targets import contact_share
 from grabnet.errors import UserError
 from grabnet.files import existing, leftovers, replacing, sha256, write_json
 from grabnet.geometry.mesh import Mesh, load_mesh, save_mesh
-from grabnet.preprocess.backends import by_dask, by_joblib, machine_cores
+from grabnet.preprocess.backends import Outcome, by_dask, by_joblib, machine_cores
 from grabnet.preprocess.card import Card
 from grabnet.preprocess.filtering import FrameFilter
 from grabnet.preprocess.grasp_track import mirror_image
 from grabnet.preprocess.recordings import Recordings
-from grabnet.preprocess.sequence_work import Outcome, SequenceWork, peak_memory
+from grabnet.preprocess.sequence_work import SequenceWork, peak_memory
 from grabnet.provenance import provenance, versions
 
 SOURCES, LABELS, BACKENDS = ("open", "grab"), ("stored", "recompute"), ("joblib", "dask")
@@ -165,10 +165,9 @@ class Preprocessing:
 
     def _tidy(self) -> None:
         """Remove what a killed run left half-written."""
-        written = (*(self.root / name for name in _RECORDS), self.root / OBJECT_MESHES / "*.ply")
-        for path in (*written, self.store / "*.*", self.store / "shards/*/*.safetensors"):
-            for leftover in leftovers(path):
-                leftover.unlink()
+        own = leftovers(self.root, *_RECORDS, str(OBJECT_MESHES / "*.*"))
+        for path in (*own, *leftovers(self.store, "*.*", "shards/*/*.*")):
+            path.unlink()
 
     def _done(self, names: list[str]) -> set[str]:
         """Recordings whose shards are there, made of the files as they are."""

@@ -22,24 +22,12 @@ from grabnet.errors import UserError
 from grabnet.files import DISK_ERRORS, existing, sha256
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.preprocess.annotation import annotate
+from grabnet.preprocess.backends import Outcome
 from grabnet.preprocess.filtering import FrameFilter, frames_left
 from grabnet.preprocess.grasp_track import GraspTrack
 from grabnet.preprocess.heights import gap_to_table
 from grabnet.preprocess.recordings import Recordings
 from grabnet.preprocess.statistics import contact_counts, finger_counts, overlap
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How the work on a recording ended.
-
-    failure: why there are no frames of it, in a sentence. worker: host and process. peak_bytes: of that process so far.
-    """
-
-    name: str
-    failure: str | None
-    worker: str = ""
-    peak_bytes: int = 0
 
 
 @dataclass(frozen=True)

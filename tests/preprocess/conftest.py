@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.preprocess.tiny_grab import write_grab
+from tests.preprocess.tiny_grab import make, write_grab
 
 
 @pytest.fixture(scope="session")
@@ -13,3 +13,11 @@ def grab(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     root, models = tmp_path_factory.mktemp("grab"), tmp_path_factory.mktemp("models")
     write_grab(root, models)
     return root, models
+
+
+@pytest.fixture(scope="session")
+def made(grab: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory, cache_dir: Path) -> Path:
+    """The data set of these recordings, made by one process without interruption; not to be written to."""
+    output = tmp_path_factory.mktemp("made")
+    assert make(grab, output, cache_dir) == {}
+    return output

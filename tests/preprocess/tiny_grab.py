@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 import trimesh
+from hydra.utils import instantiate
 from scipy.spatial.transform import Rotation
 
 from grabnet.body.hand import OPEN_HANDS, HandModel, HandParameters
 from grabnet.body.whole import BodyModel
+from grabnet.cli import compose
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import Sequence, write_sequence
 from grabnet.geometry.mesh import Mesh, save_mesh
@@ -166,6 +167,17 @@ def overrides(root: Path, models: Path, output: Path, cache_dir: Path, *more: st
     ]
 
 
-def files_of(folder: Path) -> dict[str, Any]:
+def files_of(folder: Path) -> dict[str, bytes]:
     """Bytes of every file below a folder, by its path."""
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def make(grab: tuple[Path, Path], output: Path, cache_dir: Path, *more: str) -> dict[str, str | None]:
+    """Run with these values; why recordings failed."""
+    config = compose("preprocess/preprocess", overrides(*grab, output, cache_dir, *more))
+    return {outcome.name: outcome.failure for outcome in instantiate(config, _convert_="all").run()}
+
+
+def data_set(folder: Path) -> dict[str, bytes]:
+    """Its files' bytes, without what tells of the run."""
+    return {name: content for name, content in files_of(folder).items() if name != "run.json"}
