@@ -18,7 +18,7 @@ from grabnet.files import existing, sha256
 from grabnet.geometry.mesh import check_size, file_to_object, load_mesh
 from grabnet.grasps import DEFINITIONS
 from grabnet.models.grabber import ORIENTATIONS, SIDES, Grabber
-from grabnet.models.trained import check_hand, find_network
+from grabnet.models.trained import check_hand, find_pair
 from grabnet.models.weights import load_coarsenet, load_refinenet
 from grabnet.provenance import provenance
 from grabnet.visual.pictures import can_render
@@ -104,7 +104,7 @@ def sample(wanted: Sampling) -> int:
             mesh = load_mesh(file)
             to_object = file_to_object(file, wanted.scale, wanted.up)
             check_size(mesh.transformed(to_object), file, wanted.max_size, wanted.min_size)
-            grasps = grabber.grasp(
+            grasps = grabber(
                 mesh,
                 wanted.n,
                 wanted.seed,
@@ -131,9 +131,11 @@ def _grabber(wanted: Sampling) -> tuple[Grabber, dict[str, Any]]:
     hand = HandModel(wanted.hand_model) if wanted.hand_model else HandModel.open("right")
     if wanted.betas and len(wanted.betas) > hand.shapedirs.shape[-1]:
         raise UserError(f"betas has {len(wanted.betas)} values; this hand model has {hand.shapedirs.shape[-1]}.")
-    paths = {"coarsenet": find_network("CoarseNet", wanted.coarsenet, wanted.runs)}
-    if wanted.refine:
-        paths["refinenet"] = find_network("RefineNet", wanted.refinenet, wanted.runs)
+    paths = dict(
+        zip(("coarsenet", "refinenet"), find_pair(wanted.coarsenet, wanted.refinenet, wanted.runs), strict=True)
+    )
+    if not wanted.refine:
+        del paths["refinenet"]
     facts = {}
     for name, path in paths.items():
         check_hand(path, hand)

@@ -23,7 +23,7 @@ TO_OBJECT = np.array([[0.001, 0, 0, 0], [0, 0, -0.001, 0], [0, 0.001, 0, 0], [0,
 def grasps(request, grabber, cache_dir) -> Grasps:
     box = trimesh.creation.box((50, 60, 70)).subdivide().subdivide()
     mesh = Mesh(box.vertices + np.array([300, -200, 100]), box.faces)
-    return grabber.grasp(mesh, 3, 5, request.param, to_object=TO_OBJECT, cache_dir=cache_dir)
+    return grabber(mesh, 3, 5, request.param, to_object=TO_OBJECT, cache_dir=cache_dir)
 
 
 @pytest.fixture(scope="module")

@@ -32,13 +32,13 @@ def cases(settings: Benchmark) -> list[Case]:
 
     def new_mesh() -> None:
         with tempfile.TemporaryDirectory() as empty:
-            refined.grasp(mesh, 20, cache_dir=empty)
+            refined(mesh, 20, cache_dir=empty)
 
     plain = f"{N_GRASPS} grasps, distances by cdist"
     return [
         Case(plain, lambda: _plain(refined, points), runs=2),
-        Case(f"{N_GRASPS} grasps", lambda: refined.grasp(mesh, N_GRASPS), (plain,)),
-        Case(f"{N_GRASPS} grasps, not refined", lambda: coarse.grasp(mesh, N_GRASPS)),
+        Case(f"{N_GRASPS} grasps", lambda: refined(mesh, N_GRASPS), (plain,)),
+        Case(f"{N_GRASPS} grasps, not refined", lambda: coarse(mesh, N_GRASPS)),
         Case(f"20 grasps of a mesh not met before ({len(mesh.faces)} faces)", new_mesh),
     ]
 

@@ -98,7 +98,8 @@ class BatchAssembler(nn.Module):
             rotations, vertices = about @ rotations, vertices @ about.mT
             hand = self.hand.moved(hand, about, rest=rest)
             noisy = None if noisy is None else self.hand.moved(noisy, about, rest=rest)
-        points = self.object_set.points[frames.object.unsqueeze(1), targets.near.long()] @ rotations.mT
+        samples, near = self.object_set.points, targets.near
+        points = samples[frames.object] if near is None else samples[frames.object.unsqueeze(1), near.long()]
         return GraspBatch(
             objects=frames.object,
             rotations=rotations,
@@ -106,8 +107,8 @@ class BatchAssembler(nn.Module):
             rest=rest,
             vertices=vertices,
             distances=targets.distances.to(vertices.dtype),
-            points=points,
-            point_distances=targets.near_distances.to(points.dtype),
+            points=points @ rotations.mT,
+            point_distances=targets.near_distances.to(vertices.dtype),
             object_set=self.object_set,
             noisy=noisy,
         )

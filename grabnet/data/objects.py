@@ -78,19 +78,20 @@ class ObjectSet(nn.Module):
             raise UserError(f"{folder} has no mesh for {', '.join(missing)}; it has {', '.join(files) or 'none'}.")
         return cls(names, [load_mesh(files[name]) for name in names], **options)
 
-    def to_object(self, points: Tensor, objects: Tensor, rotations: Tensor) -> Tensor:
-        """World points (B, N, 3) around objects (B,) turned by rotations (B, 3, 3) → the objects' own frames."""
-        return points @ rotations + self.centroids[objects].unsqueeze(1)
-
     def distances(self, points: Tensor, objects: Tensor, rotations: Tensor) -> Tensor:
-        """Distances (B, N) in metres of world points (B, N, 3), as `measure` says; arguments as in `to_object`."""
+        """Distances (B, N) in metres, as `measure` says.
+
+        Args:
+            points: (B, N, 3) in the world's frame, about the centroid.
+            objects: (B,) that each row is about, turned by rotations (B, 3, 3).
+        """
         if self.measure == "samples":
             return nearest_point_distance(points, self.points[objects] @ rotations.mT)
         return self.signed_distances(points, objects, rotations)
 
     def signed_distances(self, points: Tensor, objects: Tensor, rotations: Tensor) -> Tensor:
-        """Signed distances (B, N) to the surface, whatever `measure` is; arguments as in `to_object`."""
-        return self.atlas(self.to_object(points, objects, rotations), objects)
+        """Signed distances (B, N) to the surface, whatever `measure` is; arguments as above."""
+        return self.atlas(points, objects, rotations, self.centroids[objects])
 
 
 def object_files(folder: str | Path) -> dict[str, Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -20,21 +21,26 @@ class Targets:
 
     Attributes:
         distances: (N, V) float16, signed distances of the true hand's vertices to the object, metres.
-        near: (N, P) int16, samples of the object's surface, into `ObjectSet.points`: those nearest to the true hand.
+        near: (N, P) int16, samples of the object's surface, into `ObjectSet.points`: those nearest to the true hand;
+            None for all of them, as they are numbered.
         near_distances: (N, P) float16, their signed distances to it, metres.
     """
 
     distances: Tensor
-    near: Tensor
+    near: Tensor | None
     near_distances: Tensor
 
     def to(self, device: torch.device | str) -> Targets:
         """The same targets on `device`."""
-        return Targets(self.distances.to(device), self.near.to(device), self.near_distances.to(device))
+        return self._each(lambda x: x.to(device))
 
     def select(self, index: Tensor) -> Targets:
         """Those of the chosen frames."""
-        return Targets(self.distances[index], self.near[index], self.near_distances[index])
+        return self._each(lambda x: x[index])
+
+    def _each(self, change: Callable[[Tensor], Tensor]) -> Targets:
+        near = None if self.near is None else change(self.near)
+        return Targets(change(self.distances), near, change(self.near_distances))
 
     def contact(self, distance: float) -> Tensor:
         """(V,) share of frames in which each hand vertex lies within `distance` of the object, or in it."""
@@ -53,7 +59,7 @@ def compute_targets(frames: Frames, assembler: BatchAssembler, n_points: int, ba
     nearest = NearestVertex(hand.v_template, hand.faces)
     targets = Targets(
         torch.empty(len(frames), len(hand.v_template), dtype=torch.float16),
-        torch.empty(len(frames), n_points, dtype=torch.int16),
+        None if n_points == points.shape[1] else torch.empty(len(frames), n_points, dtype=torch.int16),
         torch.empty(len(frames), n_points, dtype=torch.float16),
     )
     for start in track(range(0, len(frames), batch_size), "Measuring the frames", transient=True):
@@ -63,9 +69,11 @@ def compute_targets(frames: Frames, assembler: BatchAssembler, n_points: int, ba
         targets.distances[part] = distances.half()
         rotations = axis_angle_to_matrix(batch.object_orient)
         offset = nearest.signed_offset(points[batch.object] @ rotations.mT, vertices)
-        chosen = offset.abs().topk(n_points, largest=False, sorted=False).indices.sort().values
-        targets.near[part] = chosen.short()
-        targets.near_distances[part] = offset.gather(1, chosen).half()
+        if targets.near is not None:
+            chosen = offset.abs().topk(n_points, largest=False, sorted=False).indices.sort().values
+            targets.near[part] = chosen.short()
+            offset = offset.gather(1, chosen)
+        targets.near_distances[part] = offset.half()
     return targets
 
 

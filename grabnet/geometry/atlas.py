@@ -49,36 +49,54 @@ class SDFAtlas(nn.Module):
     def __len__(self) -> int:
         return len(self.fine_box)
 
-    def forward(self, points: Tensor, objects: Tensor) -> Tensor:
-        """Signed distances (B, N) in metres, negative inside, of points (B, N, 3) in the frames of objects (B,)."""
-        if torch.is_grad_enabled() and points.requires_grad:
-            return self.with_gradient(points, objects)[0]
-        return self._lookup(points, objects, want_gradient=False)[0]
+    def forward(
+        self, points: Tensor, objects: Tensor, rotations: Tensor | None = None, centres: Tensor | None = None
+    ) -> Tensor:
+        """Signed distances (B, N) in metres, negative inside, of points (B, N, 3) to objects (B,).
 
-    def with_gradient(self, points: Tensor, objects: Tensor) -> tuple[Tensor, Tensor]:
+        Args:
+            rotations, centres: (B, 3, 3) and (B, 3). The points are in a frame at whose origin the object's point
+                `centre` lies, and in which it is turned by `rotation`; when omitted, in the object's own frame.
+        """
+        if torch.is_grad_enabled() and points.requires_grad:
+            return self.with_gradient(points, objects, rotations, centres)[0]
+        return self._lookup(points, objects, rotations, centres, want_gradient=False)[0]
+
+    def with_gradient(
+        self, points: Tensor, objects: Tensor, rotations: Tensor | None = None, centres: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Signed distances (B, N) and their gradient (B, N, 3): near the surface its unit normal, pointing outward.
 
-        The distances are differentiable in the points; the gradient is a constant to autograd.
+        The distances are differentiable in the points; the gradient is a constant to autograd. Arguments as above.
         """
-        return _Distance.apply(points, objects, self)
+        return _Distance.apply(points, objects, rotations, centres, self)
 
-    def basis_distances(self, basis: Tensor, objects: Tensor, rotations: Tensor, centroids: Tensor) -> Tensor:
-        """Unsigned distances (B, P) of points (P, 3) to objects (B,) turned by rotations (B, 3, 3) about their
-        centroids (B, 3), which lie at the points' origin: what a basis point set needs, four times as fast."""
+    def basis_distances(self, basis: Tensor, objects: Tensor, rotations: Tensor, centres: Tensor) -> Tensor:
+        """Unsigned distances (B, P) of points (P, 3) to objects as in `forward`: what a basis point set needs.
+
+        Read from the coarse lattices alone: .02 mm off on average, .4 mm in the worst hundredth, eight times as fast.
+        """
         with torch.no_grad():
             distance = basis.new_empty(len(objects), len(basis))
-            poses = [rotations.float().contiguous(), centroids.float().contiguous(), basis.contiguous()]
+            poses = [rotations.float().contiguous(), centres.float().contiguous(), basis.contiguous()]
             constants = [self._lattices(), objects.int(), *poses, distance]
             launch(kernels.basis_distances, [_by_object(objects)], constants, width=len(basis))
         return distance
 
-    def _lookup(self, points: Tensor, objects: Tensor, want_gradient: bool) -> tuple[Tensor, Tensor]:
+    def _lookup(
+        self, points: Tensor, objects: Tensor, rotations: Tensor | None, centres: Tensor | None, want_gradient: bool
+    ) -> tuple[Tensor, Tensor]:
         if points.dim() != 3 or objects.shape != points.shape[:1]:
             raise ValueError(f"points must be (B, N, 3) and objects (B,), got {points.shape} and {objects.shape}")
         points = points.detach().float().contiguous()
+        if rotations is None:
+            rotations = torch.eye(3, device=points.device).expand(len(points), 3, 3)
+        if centres is None:
+            centres = points.new_zeros(len(points), 3)
         distance = points.new_empty(points.shape[:2])
         gradient = torch.empty_like(points) if want_gradient else points  # not written to
-        constants = [self._lattices(), objects.int(), points, want_gradient, distance, gradient]
+        poses = [rotations.float().contiguous(), centres.float().contiguous(), points]
+        constants = [self._lattices(), objects.int(), *poses, want_gradient, distance, gradient]
         launch(kernels.signed_distances, [_by_object(objects)], constants, width=points.shape[1])
         return distance, gradient
 
@@ -98,13 +116,15 @@ class _Distance(torch.autograd.Function):
     """The lookup finds distance and gradient together, so backward is one product."""
 
     @staticmethod
-    def forward(ctx, points: Tensor, objects: Tensor, atlas: SDFAtlas) -> tuple[Tensor, Tensor]:
-        distance, gradient = atlas._lookup(points, objects, want_gradient=True)
+    def forward(
+        ctx, points: Tensor, objects: Tensor, rotations: Tensor | None, centres: Tensor | None, atlas: SDFAtlas
+    ) -> tuple[Tensor, Tensor]:
+        distance, gradient = atlas._lookup(points, objects, rotations, centres, want_gradient=True)
         ctx.save_for_backward(gradient)
         ctx.mark_non_differentiable(gradient)
         return distance.to(points.dtype), gradient.to(points.dtype)
 
     @staticmethod
-    def backward(ctx, d_distance: Tensor, _) -> tuple[Tensor, None, None]:
+    def backward(ctx, d_distance: Tensor, _) -> tuple[Tensor, None, None, None, None]:
         (gradient,) = ctx.saved_tensors
-        return (d_distance.unsqueeze(-1) * gradient).to(d_distance.dtype), None, None
+        return (d_distance.unsqueeze(-1) * gradient).to(d_distance.dtype), None, None, None, None

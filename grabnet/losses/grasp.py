@@ -10,10 +10,9 @@ from grabnet.body.hand import HandModel
 from grabnet.data.batches import GraspBatch
 from grabnet.errors import UserError
 from grabnet.geometry.nearest import NearestVertex
+from grabnet.losses.edges import EdgeL1
 from grabnet.losses.terms import (
     PointWeights,
-    edge_differences,
-    edge_l1,
     hand_to_object_l1,
     kl_to_standard_normal,
     object_to_hand_l1,
@@ -56,13 +55,13 @@ class ReconstructionLoss(nn.Module):
         self.vertex, self.edge, self.hand_to_object = vertex, edge, hand_to_object
         self.register_buffer("vertex_weight", evened if vertices_by_root else likelihood, False)
         self.register_buffer("distance_weight", evened, False)
-        self.register_buffer("edges", edge_differences(hand.faces, len(hand.v_template)), False)
+        self.edges = EdgeL1(hand.faces, len(hand.v_template))
 
     def forward(self, vertices: Tensor, batch: GraspBatch) -> dict[str, Tensor]:
         """Weighted terms for predicted vertices (B, V, 3)."""
         return {
             "vertex": self.vertex * vertex_l1(vertices, batch.vertices, self.vertex_weight),
-            "edge": self.edge * edge_l1(vertices, batch.vertices, self.edges),
+            "edge": self.edge * self.edges(vertices, batch.vertices),
             "hand_to_object": self.hand_to_object
             * hand_to_object_l1(batch.measure(vertices), batch.distances, self.distance_weight),
         }

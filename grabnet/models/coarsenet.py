@@ -10,6 +10,7 @@ from torch.distributions import Normal
 from torch.nn import functional as F
 
 from grabnet.body.hand import HandParameters
+from grabnet.errors import UserError
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.rotations import matrix_to_six_d, six_d_to_matrix
 from grabnet.models.layers import BatchNorm, ResidualBlock, concatenate
@@ -30,7 +31,7 @@ class CoarseNet(nn.Module):
     def __init__(self, bps: BPS, latent_dim: int = 16, width: int = 512, n_hidden: int = 256, n_joints: int = 16):
         super().__init__()
         if latent_dim < 1:
-            raise ValueError(f"latent_dim is {latent_dim}; a latent code needs at least 1 dimension")
+            raise UserError(f"latent_dim is {latent_dim}; a latent code needs at least 1 dimension.")
         self.bps = bps
         self.latent_dim = latent_dim
         n_bps = len(bps.basis)

@@ -13,13 +13,15 @@ from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.errors import UserError
 from grabnet.geometry.atlas import SDFAtlas
-from grabnet.geometry.mesh import Mesh
+from grabnet.geometry.mesh import Mesh, file_to_object, load_mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.rotations import about_z
 from grabnet.geometry.sdf_grid import SDFGrid
 from grabnet.grasps import Grasps
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet
+from grabnet.models.trained import OPEN_GRABBER, check_hand
+from grabnet.models.weights import load_coarsenet, load_refinenet, weights_file
 
 SIDES = ("right", "left")
 ORIENTATIONS = ("upright", "fixed", "random")
@@ -54,11 +56,30 @@ class Grabber(nn.Module):
         self.register_buffer("finger", Anatomy.of(hand).finger, persistent=False)
         self.register_buffer("mirror", torch.diag(torch.tensor([-1.0, 1.0, 1.0])), persistent=False)
 
+    @classmethod
+    def from_pretrained(cls, name: str | Path = "open", hand: HandModel | None = None, **options: int) -> Grabber:
+        """A trained pair of networks.
+
+        Args:
+            name: "open", the shipped ones, trained on the open data; or a folder with run folders `coarsenet` and
+                `refinenet`, such as a run of model=grabnet or `runs/demo`.
+            hand: the right hand they were trained with; the open hand when omitted.
+            options: further arguments of the constructor.
+
+        Raises:
+            UserError: no such networks, or trained with another hand.
+        """
+        folder, hand = OPEN_GRABBER if name == "open" else Path(name), hand or HandModel.open()
+        coarsenet, refinenet = (weights_file(folder / network) for network in ("coarsenet", "refinenet"))
+        for path in (coarsenet, refinenet):
+            check_hand(path, hand)
+        return cls(load_coarsenet(coarsenet), load_refinenet(refinenet, hand), hand, **options)
+
     @torch.inference_mode()
-    def grasp(
+    def forward(
         self,
-        mesh: Mesh,
-        n: int,
+        mesh: Mesh | str | Path,
+        n: int = 20,
         seed: int = 0,
         side: str = "right",
         orientation: str = "upright",
@@ -69,16 +90,23 @@ class Grabber(nn.Module):
         """Sample n grasps of a mesh.
 
         Args:
-            mesh: the object in its own frame and units, open or closed.
+            mesh: the object in its own frame and units, open or closed; or a file of one, in metres.
             seed: grasp i of a seed is the same for every n.
             side: "left" grasps the mirrored object with the right-hand networks and mirrors the result back.
             orientation: how the object stands before the hand: "upright", turned about its vertical from grasp to
                 grasp, in golden angles from a random one; "fixed", as in its file; "random", turned anyhow.
             betas: (n_betas,) shape of the hand; its mean when omitted.
-            to_object: (4, 4) from the mesh's frame and units to metres, z up (`file_to_object`); identity when omitted.
+            to_object: (4, 4) from the mesh's frame and units to metres, z up. When omitted that of `file_to_object` for
+                a file, and the identity for a mesh.
             cache_dir: of the signed-distance grid, as in `SDFGrid.load_or_build`.
+
+        Raises:
+            UserError: an unreadable file, or an option that there is not.
         """
         device = self.mirror.device
+        if not isinstance(mesh, Mesh):
+            to_object = file_to_object(mesh) if to_object is None else to_object
+            mesh = load_mesh(mesh)
         to_object = np.eye(4) if to_object is None else np.asarray(to_object, np.float64)
         betas = self.hand.shapedirs.new_zeros(self.hand.shapedirs.shape[-1]) if betas is None else betas.to(device)
         rest = self.hand.shaped(betas)
@@ -137,7 +165,7 @@ class Grabber(nn.Module):
             pose = poses[chosen]
 
             def distances(vertices: Tensor, pose: Tensor = pose) -> Tensor:
-                return atlas(vertices @ pose + centroid, objects[: len(pose)])
+                return atlas(vertices, objects[: len(pose)], pose, centroid.expand(len(pose), 3))
 
             hands = self.coarsenet.decode(z, bps[chosen])
             if self.refinenet is not None:

@@ -1,15 +1,36 @@
-"""Finding trained networks: the one the user names, or the newest there is."""
+"""Finding trained networks: the one the user names, the newest there is, or the shipped one."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from safetensors import SafetensorError, safe_open
-
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
 from grabnet.files import sha256
-from grabnet.models.weights import FILE_NAME, read_provenance, weights_file
+from grabnet.models.weights import FILE_NAME, network_kind, read_provenance, weights_file
+
+# Both networks, trained on the open data; see its README.
+OPEN_GRABBER = Path(__file__).parents[2] / "assets" / "open_grabber"
+
+
+def find_pair(
+    coarsenet: str | Path | None = None, refinenet: str | Path | None = None, runs: str | Path = "runs"
+) -> tuple[Path, Path]:
+    """Weights of a CoarseNet and a RefineNet.
+
+    Args:
+        coarsenet, refinenet: run folders or weights files. What is omitted is the newest complete run below `runs`; the
+            shipped network where there is none of one kind.
+
+    Raises:
+        UserError: no such file.
+    """
+    newest = _newest(runs)
+    kinds = ("CoarseNet", "RefineNet")
+    if any(path is None and kind not in newest for kind, path in zip(kinds, (coarsenet, refinenet), strict=True)):
+        newest = {kind: weights_file(OPEN_GRABBER / kind.lower()) for kind in kinds}
+    named = [weights_file(path) if path is not None else None for path in (coarsenet, refinenet)]
+    return named[0] or newest["CoarseNet"], named[1] or newest["RefineNet"]
 
 
 def find_network(kind: str, path: str | Path | None, runs: str | Path = "runs") -> Path:
@@ -24,10 +45,10 @@ def find_network(kind: str, path: str | Path | None, runs: str | Path = "runs") 
     """
     if path is not None:
         return weights_file(path)
-    found = {file: _kind(file) for file in Path(runs).rglob(FILE_NAME)}
-    if newest := max((f for f, k in found.items() if k == kind), key=lambda f: f.stat().st_mtime, default=None):
-        return newest
-    there = ", ".join(f"{file.parent} ({k})" for file, k in sorted(found.items()) if k) or "no trained network"
+    newest = _newest(runs)
+    if kind in newest:
+        return newest[kind]
+    there = ", ".join(f"{file.parent} ({k})" for k, file in sorted(newest.items())) or "no trained network"
     raise UserError(
         f"There is no trained {kind} below {runs}, which holds {there}: train one with `make demo` or "
         f"`python train.py model={kind.lower()}`, or name one with {kind.lower()}=<run folder or {FILE_NAME}>."
@@ -41,10 +62,7 @@ def check_hand(path: Path, hand: HandModel) -> None:
         raise UserError(f"{path} was trained with another hand model: name its file with hand_model=<MANO_RIGHT.npz>.")
 
 
-def _kind(path: Path) -> str | None:
-    """Which network a weights file holds; None when it is none of ours."""
-    try:
-        with safe_open(path, "pt") as file:
-            return (file.metadata() or {}).get("network")
-    except (SafetensorError, OSError):
-        return None
+def _newest(runs: str | Path) -> dict[str, Path]:
+    """The newest weights of each kind of network anywhere below `runs`."""
+    files = sorted(Path(runs).rglob(FILE_NAME), key=lambda f: f.stat().st_mtime)
+    return {kind: file for file in files if (kind := network_kind(file))}

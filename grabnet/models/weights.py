@@ -21,13 +21,17 @@ from grabnet.models.refinenet import RefineNet
 FILE_NAME = "model.safetensors"
 
 
-def save_network(path: str | Path, network: CoarseNet | RefineNet, provenance: dict[str, Any]) -> None:
+def save_network(
+    path: str | Path, network: CoarseNet | RefineNet, provenance: dict[str, Any], matrices: torch.dtype | None = None
+) -> None:
     """Write weights and header atomically.
 
     Args:
         path: of the file.
         network: its sizes are read off its layers.
         provenance: JSON-able record of config, seed, versions and data, kept in the header.
+        matrices: type that the layers' matrices, which are nearly all of the file, are rounded to; their own when
+            omitted.
     """
     header = {
         "network": type(network).__name__,
@@ -35,6 +39,9 @@ def save_network(path: str | Path, network: CoarseNet | RefineNet, provenance: d
         "provenance": json.dumps(provenance),
     }
     tensors = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
+    if matrices is not None:
+        layers = {name: value for name, value in tensors.items() if name.endswith(".weight") and value.dim() == 2}
+        tensors |= {name: value.to(matrices) for name, value in layers.items()}
     with replacing(path) as temporary:
         save_file(tensors, temporary, header)
 
@@ -59,6 +66,15 @@ def read_provenance(path: str | Path) -> dict[str, Any]:
     """The record that `save_network` was given."""
     with _opened(path) as file:
         return json.loads(file.metadata()["provenance"])
+
+
+def network_kind(path: Path) -> str | None:
+    """Which network a weights file holds; None when it is none of ours."""
+    try:
+        with safe_open(path, "pt") as file:
+            return (file.metadata() or {}).get("network")
+    except (SafetensorError, OSError):
+        return None
 
 
 def weights_file(path: str | Path) -> Path:

@@ -73,6 +73,17 @@ def test_points_are_the_nearest_and_their_distances_exact(data):
         assert abs(batch.point_distances[k].abs().numpy() - kept).max() < 1e-4
 
 
+def test_all_points_where_as_many_are_wanted(tiny_dataset, hand, cache_dir):
+    settings = {"object_points": 100, "near_points": 100, "cache_dir": str(cache_dir)}
+    data = GraspDataModule(hand, str(tiny_dataset), **SPLIT, **settings)
+    data.setup()
+    batch = data.assemble("train", torch.arange(5))
+    torch.testing.assert_close(batch.points, data.assembler.object_set.points[batch.objects] @ batch.rotations.mT)
+    for points, vertices, distances in zip(batch.points, batch.vertices, batch.point_distances, strict=True):
+        expected, _ = cKDTree(vertices.numpy()).query(points.numpy())
+        assert abs(distances.abs().numpy() - expected).max() < 1e-4
+
+
 def test_turning_about_the_vertical_changes_no_distance(data):
     index = torch.arange(8)
     torch.manual_seed(3)

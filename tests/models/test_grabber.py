@@ -28,7 +28,7 @@ def block() -> Mesh:
 
 @pytest.fixture(scope="module")
 def grasps(grabber, block, cache_dir):
-    return grabber.grasp(block, 20, seed=3, cache_dir=cache_dir)
+    return grabber(block, 20, seed=3, cache_dir=cache_dir)
 
 
 def box_distance(points: np.ndarray, centre: np.ndarray, sizes: np.ndarray) -> np.ndarray:
@@ -58,7 +58,7 @@ def test_distances_are_those_to_the_box(grasps, block):
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_object_transform_leads_to_the_world_of_the_networks(grabber, block, cache_dir, orientation, side):
     """There the object is centred, and the hands of the untrained networks come from +x with the palm down."""
-    grasps = grabber.grasp(block, 14, 1, side, orientation, cache_dir=cache_dir)
+    grasps = grabber(block, 14, 1, side, orientation, cache_dir=cache_dir)
     turn, offset = grasps.object_transform[:, :3, :3], grasps.object_transform[:, :3, 3]
     assert roma.is_rotation_matrix(turn, 1e-4)
     centroid = (turn @ torch.tensor(block.centroid)) + offset
@@ -78,7 +78,7 @@ def test_object_transform_leads_to_the_world_of_the_networks(grabber, block, cac
 
 def test_upright_turns_spread_around(grabber, block, cache_dir):
     """However few, the angles leave no gap much larger than the mean."""
-    turn = grabber.grasp(block, 8, 5, cache_dir=cache_dir).object_transform
+    turn = grabber(block, 8, 5, cache_dir=cache_dir).object_transform
     angles = torch.atan2(turn[:, 1, 0], turn[:, 0, 0]).sort().values
     gaps = torch.cat([angles.diff(), angles[:1] + 2 * torch.pi - angles[-1:]])
     assert gaps.max() < 2 * 2 * torch.pi / 8
@@ -87,17 +87,17 @@ def test_upright_turns_spread_around(grabber, block, cache_dir):
 def test_a_grasp_depends_on_seed_and_number_alone(grabber, block, cache_dir, grasps):
     """Bit by bit the same for any n, though batches differ; and another seed gives another grasp."""
     for n in (1, 5, 16, 17):
-        fewer = grabber.grasp(block, n, seed=3, cache_dir=cache_dir)
+        fewer = grabber(block, n, seed=3, cache_dir=cache_dir)
         for name in ("vertices", "distances", "object_transform"):
             assert torch.equal(getattr(fewer, name), getattr(grasps, name)[:n]), (n, name)
         assert all(torch.equal(a, b[:n]) for a, b in zip(fewer.parameters, grasps.parameters, strict=True))
-    other = grabber.grasp(block, 5, seed=4, cache_dir=cache_dir)
+    other = grabber(block, 5, seed=4, cache_dir=cache_dir)
     assert (other.vertices - grasps.vertices[:5]).abs().amax((1, 2)).min() > 1e-3
 
 
 def test_batch_size_changes_nothing_but_rounding(grabber, block, cache_dir, grasps):
     whole = Grabber(grabber.coarsenet, grabber.refinenet, grabber.hand, batch_size=64, n_turns=12)
-    again = whole.grasp(block, 20, seed=3, cache_dir=cache_dir)
+    again = whole(block, 20, seed=3, cache_dir=cache_dir)
     torch.testing.assert_close(again.vertices, grasps.vertices, atol=1e-5, rtol=0)
 
 
@@ -105,10 +105,10 @@ def test_batch_size_changes_nothing_but_rounding(grabber, block, cache_dir, gras
 def test_frame_and_units_of_the_file_do_not_matter(grabber, block, cache_dir, side):
     """The same box in millimetres, y up and moved: the same hands upon it, in its units and frame."""
     centred = block.transformed(np.array([[1, 0, 0, -0.3], [0, 1, 0, 0.2], [0, 0, 1, -0.1], [0, 0, 0, 1.0]]))
-    reference = grabber.grasp(centred, 6, 2, side, cache_dir=cache_dir)
+    reference = grabber(centred, 6, 2, side, cache_dir=cache_dir)
     to_object = np.array([[0.001, 0, 0, 0], [0, 0, -0.001, 0], [0, 0.001, 0, 0], [0, 0, 0, 1]])
     to_file = np.linalg.inv(to_object)
-    moved = grabber.grasp(centred.transformed(to_file), 6, 2, side, to_object=to_object, cache_dir=cache_dir)
+    moved = grabber(centred.transformed(to_file), 6, 2, side, to_object=to_object, cache_dir=cache_dir)
     expected = reference.vertices.double() @ torch.tensor(to_file[:3, :3]).mT
     torch.testing.assert_close(moved.vertices.double(), expected, atol=0.02, rtol=0)  # millimetres
     torch.testing.assert_close(moved.distances, reference.distances, atol=2e-5, rtol=0)
@@ -124,14 +124,14 @@ def test_frame_and_units_of_the_file_do_not_matter(grabber, block, cache_dir, si
 
 def test_left_is_the_mirror_image_on_the_mirrored_mesh(grabber, block, cache_dir, grasps):
     mirrored = Mesh(block.vertices * [-1, 1, 1], block.faces[:, ::-1])
-    left = grabber.grasp(mirrored, 20, 3, "left", cache_dir=cache_dir)
+    left = grabber(mirrored, 20, 3, "left", cache_dir=cache_dir)
     torch.testing.assert_close(left.vertices * torch.tensor([-1.0, 1, 1]), grasps.vertices, atol=1e-4, rtol=0)
     torch.testing.assert_close(left.distances, grasps.distances, atol=1e-4, rtol=0)
     assert left.report()[3]["contact_vertices"] == grasps.report()[3]["contact_vertices"]
 
 
 def test_left_parameters_are_those_of_the_left_model(grabber, block, cache_dir):
-    left = grabber.grasp(block, 5, 0, "left", betas=torch.tensor([1.0, -0.5]), cache_dir=cache_dir)
+    left = grabber(block, 5, 0, "left", betas=torch.tensor([1.0, -0.5]), cache_dir=cache_dir)
     torch.testing.assert_close(reposed(left, HandModel.open("left")), left.vertices, atol=1e-5, rtol=0)
     solid = trimesh.Trimesh(left.vertices[0].numpy(), left.faces.numpy(), process=False)
     centre = solid.vertices.mean(0)
@@ -140,16 +140,16 @@ def test_left_parameters_are_those_of_the_left_model(grabber, block, cache_dir):
 
 
 def test_betas_shape_the_hand(grabber, block, cache_dir, hand):
-    shaped = grabber.grasp(block, 3, 0, betas=torch.tensor([2.0, 1.0]), cache_dir=cache_dir)
+    shaped = grabber(block, 3, 0, betas=torch.tensor([2.0, 1.0]), cache_dir=cache_dir)
     torch.testing.assert_close(reposed(shaped, hand), shaped.vertices, atol=2e-6, rtol=0)
-    mean = grabber.grasp(block, 3, 0, cache_dir=cache_dir)
+    mean = grabber(block, 3, 0, cache_dir=cache_dir)
     assert (shaped.vertices - mean.vertices).norm(dim=-1).max() > 1e-3
 
 
 def test_without_refinenet_the_guess_is_the_grasp(grabber, block, cache_dir, hand):
     """CoarseNet decoded by hand, from the exact BPS and the world's own numbers."""
     coarse = Grabber(grabber.coarsenet, None, hand, batch_size=16)
-    grasps = coarse.grasp(block, 4, 9, orientation="fixed", cache_dir=cache_dir)
+    grasps = coarse(block, 4, 9, orientation="fixed", cache_dir=cache_dir)
     basis = grabber.coarsenet.bps.basis.numpy() + block.centroid
     bps = torch.tensor(np.abs(box_distance(basis, block.bounds.mean(0), SIZES)), dtype=torch.float32)
     latent = np.random.default_rng([9, 0]).standard_normal((4, 16), np.float32)
@@ -177,16 +177,16 @@ def odd_meshes() -> dict[str, trimesh.Trimesh]:
 
 @pytest.mark.parametrize("name", odd_meshes())
 def test_odd_meshes_are_grasped(grabber, cache_dir, name):
-    grasps = grabber.grasp(of(odd_meshes()[name]), 3, 0, cache_dir=cache_dir)
+    grasps = grabber(of(odd_meshes()[name]), 3, 0, cache_dir=cache_dir)
     assert grasps.vertices.isfinite().all()
     assert grasps.distances.isfinite().all()
 
 
 def test_winding_does_not_matter(grabber, cache_dir):
     ball = trimesh.creation.icosphere(3, 0.045)
-    as_it_should_be = grabber.grasp(of(ball), 4, 0, cache_dir=cache_dir)
+    as_it_should_be = grabber(of(ball), 4, 0, cache_dir=cache_dir)
     ball.invert()
-    inverted = grabber.grasp(of(ball), 4, 0, cache_dir=cache_dir)
+    inverted = grabber(of(ball), 4, 0, cache_dir=cache_dir)
     assert as_it_should_be.max_penetration.max() > 1e-3
     torch.testing.assert_close(inverted.max_penetration, as_it_should_be.max_penetration, atol=1e-6, rtol=0)
 
@@ -194,11 +194,11 @@ def test_winding_does_not_matter(grabber, cache_dir):
 @pytest.mark.parametrize(("name", "value"), [("side", "both"), ("orientation", "sideways")])
 def test_wrong_words_are_told(grabber, block, cache_dir, name, value):
     with pytest.raises(UserError, match=f"{name} is '{value}'; it can be"):
-        grabber.grasp(block, 1, cache_dir=cache_dir, **{name: value})
+        grabber(block, 1, cache_dir=cache_dir, **{name: value})
 
 
 def test_many_grasps_are_fast(grabber, block, cache_dir):
     """Ten times slower than on an idle machine would still pass: this catches a lost batch dimension."""
     start = time.perf_counter()
-    grabber.grasp(block, 256, cache_dir=cache_dir)
+    grabber(block, 256, cache_dir=cache_dir)
     assert time.perf_counter() - start < 10

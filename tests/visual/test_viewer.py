@@ -17,7 +17,7 @@ TITLE = 'tässe </script><b id="x">&amp;'
 @pytest.fixture(scope="module")
 def grasps(grabber, cache_dir):
     box = trimesh.creation.box((0.05, 0.07, 0.06)).subdivide().subdivide()
-    return grabber.grasp(Mesh(box.vertices + np.array([0.3, -0.2, 0.1]), box.faces), 5, seed=2, cache_dir=cache_dir)
+    return grabber(Mesh(box.vertices + np.array([0.3, -0.2, 0.1]), box.faces), 5, seed=2, cache_dir=cache_dir)
 
 
 @pytest.fixture(scope="module")
