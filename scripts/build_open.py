@@ -1,8 +1,11 @@
-"""Build the open stand-ins for licensed data: hand, objects, grasps.
+"""Build the open stand-ins for licensed data: hand, body, objects, grasps, sequences.
 
     python scripts/build_open.py hand               # the open hand, right and left (needs anny)
     python scripts/build_open.py objects            # object meshes, in the layout of GRAB
     python scripts/build_open.py grasps             # right-hand grasps of all objects (half an hour)
+    python scripts/build_open.py body               # the open body with these hands (needs anny)
+    python scripts/build_open.py sequences          # whole-body recordings in the layout of GRAB
+    python scripts/build_open.py film FILE …        # a short video of some of them
     python scripts/build_open.py --help
 
 One subparser below per thing to build; what it does lives in grabnet/open/.
@@ -53,9 +56,33 @@ def grasps(arguments: argparse.Namespace) -> None:
         draw_sheet(made, arguments.picture)
 
 
+def body(arguments: argparse.Namespace) -> None:
+    from grabnet.open.body.build import build_body
+
+    report = build_body(arguments.folder)
+    print(f"Wrote SMPLX_NEUTRAL.npz and subjects.npz to {arguments.folder}; on adults left out of the fit:")
+    print(f"  joints {report.joint_error[0]:.2f} mm off on average, {report.joint_error[1]:.2f} mm at most;")
+    print(f"  vertices {report.shape_error[0]:.2f} mm off on average, {report.shape_error[1]:.2f} mm at most.")
+
+
+def sequences(arguments: argparse.Namespace) -> None:
+    from grabnet.open.sequences.building import build_sequences
+
+    build_sequences(arguments.root, arguments.number, arguments.seed, arguments.processes, arguments.subjects)
+
+
+def film(arguments: argparse.Namespace) -> None:
+    from grabnet.open.sequences.film import save_film, save_strip
+
+    save = save_strip if arguments.output.suffix == ".png" else save_film
+    save(arguments.output, arguments.files, arguments.root)
+
+
 def parser() -> argparse.ArgumentParser:
     main = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    commands = main.add_subparsers(dest="command", required=True, metavar="hand | objects | grasps")
+    commands = main.add_subparsers(
+        dest="command", required=True, metavar="hand | body | objects | grasps | sequences | film"
+    )
 
     command = commands.add_parser("hand", help="the open hand, right and left, in MANO's schema")
     command.add_argument("--folder", type=Path, default=Path("assets/open_hand"), help="(default: %(default)s)")
@@ -80,6 +107,24 @@ def parser() -> argparse.ArgumentParser:
     command.add_argument("--processes", type=int, default=2, help="objects at once (default: %(default)s)")
     command.add_argument("--picture", type=Path, help="also draw random ones here, such as docs/open_grasps.png")
     command.set_defaults(run=grasps)
+
+    command = commands.add_parser("body", help="the open body in SMPL-X's schema, with the open hands")
+    command.add_argument("--folder", type=Path, default=Path("assets/open_body"), help="(default: %(default)s)")
+    command.set_defaults(run=body)
+
+    command = commands.add_parser("sequences", help="recordings of open bodies with open objects; those there are kept")
+    command.add_argument("--root", type=Path, default=Path("data/open"), help="dataset folder (default: %(default)s)")
+    command.add_argument("--number", type=int, default=150, help="(default: %(default)s)")
+    command.add_argument("--subjects", nargs="+", metavar="NAME", help="such as s1 s7 (default: all ten)")
+    command.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
+    command.add_argument("--processes", type=int, default=2, help="sequences at once (default: %(default)s)")
+    command.set_defaults(run=sequences)
+
+    command = commands.add_parser("film", help="draw sequences, in motion (.webp, .gif) or as a strip of frames (.png)")
+    command.add_argument("files", type=Path, nargs="+", help="sequence files")
+    command.add_argument("--root", type=Path, default=Path("data/open"), help="their folder (default: %(default)s)")
+    command.add_argument("--output", type=Path, default=Path("sequences.webp"), help="(default: %(default)s)")
+    command.set_defaults(run=film)
 
     return main
 

@@ -56,7 +56,7 @@ def right_hand(
 
     The counts of vertices and of the wrist opening's vertices are MANO's.
     """
-    hands = calibrate(vary(move_knuckles(flatten(adults)), seed))
+    hands = adult_hands(adults, seed)
     kept, faces = decimate(hands.vertices.mean(0), hands.faces, n_vertices, n_boundary, hands.weights)
     hands = FlatHands(hands.vertices[:, kept], faces, hands.joints, hands.weights[kept])
     fitted = len(hands.vertices) * 3 // 4
@@ -84,6 +84,11 @@ def right_hand(
         shape_error=_mean_and_max(unexplained.T.reshape(held_out.shape)),
         explained=tuple(explained.round(4).tolist()),
     )
+
+
+def adult_hands(adults: AdultHands, seed: int) -> FlatHands:
+    """The adults' hands in rest pose, at full resolution."""
+    return calibrate(vary(move_knuckles(flatten(adults)), seed))
 
 
 def with_poses(model: Model, seed: int, n_poses: int = 4000) -> Model:

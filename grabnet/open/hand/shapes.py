@@ -72,11 +72,17 @@ def principal_shapes(vertices: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarr
 
 
 def joint_regressor(
-    vertices: np.ndarray, joints: np.ndarray, weights: np.ndarray, parents: Sequence[int], nearest: int = 80
+    vertices: np.ndarray,
+    joints: np.ndarray,
+    weights: np.ndarray,
+    parents: Sequence[int],
+    nearest: int = 80,
+    bend: int = 1000,
 ) -> np.ndarray:
-    """(16, V) non-negative rows summing to 1 that give the joints (N, 16, 3) of the hands (N, V, 3).
+    """(J, V) non-negative rows summing to 1 that give the joints (N, J, 3) of the shapes (N, V, 3).
 
-    A joint is sought among the vertices near it and those that bend about it, by non-negative least squares.
+    A joint is sought by non-negative least squares among the vertices near it and, evenly chosen, some `bend` at most
+    of those that bend about it.
     """
     mean = vertices.mean(0)
     tree = cKDTree(mean)
@@ -84,7 +90,7 @@ def joint_regressor(
     for j, parent in enumerate(parents):
         near = tree.query(joints[:, j].mean(0), nearest)[1]
         bending = np.flatnonzero(np.minimum(weights[:, j], weights[:, max(parent, 0)]) > 0.1) if j else []
-        chosen = np.union1d(near, bending).astype(int)
+        chosen = np.union1d(near, bending[:: -(-len(bending) // bend) or 1]).astype(int)
         system = (vertices[:, chosen] - joints[:, j, None]).transpose(0, 2, 1).reshape(-1, len(chosen))
         ridge = 1e-3 * np.sqrt(len(system)) * np.eye(len(chosen))  # prefers many small shares to a few large ones
         system = np.concatenate([system, np.full((1, len(chosen)), 100.0), ridge])

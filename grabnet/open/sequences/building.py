@@ -1,0 +1,234 @@
+"""The command that makes open sequences: what is recorded, attempt after attempt, in one process or several."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from grabnet.body.hand import HandModel
+from grabnet.data.objects import OBJECT_MESHES
+from grabnet.data.sequences import write_sequence
+from grabnet.errors import UserError
+from grabnet.files import sha256, write_json
+from grabnet.geometry.mesh import load_mesh
+from grabnet.open.body.subjects import OPEN_BODY, open_body, open_subjects, write_subjects
+from grabnet.open.grasps.store import OPEN_GRASPS, OpenGrasps, load_open_grasps
+from grabnet.open.objects.writing import write_objects
+from grabnet.open.sequences.actor import Actor
+from grabnet.open.sequences.checks import Measures, measure
+from grabnet.open.sequences.performance import InfeasibleError
+from grabnet.open.sequences.plans import Scene
+from grabnet.open.sequences.props import Holds, Prop
+from grabnet.open.sequences.setting import TABLE_HEIGHTS, Table
+from grabnet.open.sequences.uses import use_of
+from grabnet.open.sequences.writing import to_sequence, with_contact, write_table
+from grabnet.provenance import provenance
+
+SHARES = {"use": 0.43, "pass": 0.28, "lift": 0.2, "offhand": 0.09}  # of the recordings, about GRAB's
+_LIES_AS_MODELLED = 0.75  # share of draws in which the object stands as it was modelled
+_ATTEMPTS = 40
+_REPORTS = "reports"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One recording to make: its number, and the name of its file below `grab`, such as s1/mug_lift_1."""
+
+    number: int
+    name: str
+    subject: str
+    object: str
+    intent: str
+
+
+def build_sequences(
+    root: str | Path, number: int, seed: int = 0, processes: int = 2, subjects: Sequence[str] | None = None
+) -> None:
+    """Write `number` sequences, meshes of objects and subjects, and `sequences.json` (provenance) below `root`.
+
+    Sequences that are there already are kept: a call that was interrupted goes on. Each depends on seed and number.
+
+    Args:
+        subjects: names; all ten when omitted.
+
+    Raises:
+        UserError: numbers that ask for nothing, or an unknown subject.
+    """
+    root, grasps = Path(root), load_open_grasps()
+    if number < 1 or processes < 1:
+        raise UserError(f"--number {number} and --processes {processes} must be at least 1.")
+    if unknown := sorted(set(subjects or ()) - set(grasps.subjects)):
+        raise UserError(f"There is no subject {', '.join(unknown)}; choose from {', '.join(grasps.subjects)}.")
+    write_objects(root, processes)
+    body = open_body()
+    write_subjects(root, body, open_subjects(body, grasps))
+    write_table(root)
+    entries = schedule(grasps, number, seed, tuple(subjects or grasps.subjects))
+    recipe = {
+        "seed": seed,
+        "grasps_sha256": sha256(OPEN_GRASPS),
+        "body_sha256": sha256(OPEN_BODY / "SMPLX_NEUTRAL.npz"),
+    }
+    missing = [entry for entry in entries if not _file(root, entry).exists()]
+    console = Console()
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console) as progress:
+        task = progress.add_task("sequences", total=len(entries), completed=len(entries) - len(missing))
+        for entry, report in _made(missing, root, seed, processes):
+            if "given_up" in report:
+                progress.console.print(f"{entry.name}: given up ({report['rejected']})")
+            progress.advance(task)
+    reports = {}
+    for entry in entries:
+        file = root / _REPORTS / f"{entry.name}.json"
+        if file.exists():
+            reports[entry.name] = json.loads(file.read_text())
+    made = [name for name, report in reports.items() if "given_up" not in report]
+    summary = provenance(
+        source="scripts/build_open.py sequences: planned and moved by inverse kinematics; nobody was recorded",
+        licence="CC0-1.0",
+        recipe=recipe,
+        sequences=len(made),
+        frames=sum(reports[name]["frames"] for name in made),
+        rejected=dict(sum((Counter(r["rejected"]) for r in reports.values()), Counter()).most_common()),
+        reports=reports,
+    )
+    write_json(root / "sequences.json", summary)
+    console.print(f"Wrote {len(made)} sequences, {summary['frames']} frames, to {root / 'grab'}.")
+
+
+def schedule(grasps: OpenGrasps, number: int, seed: int, subjects: Sequence[str]) -> list[Entry]:
+    """What to record; the first entries are the same whatever the number."""
+    entries: list[Entry] = []
+    counts: Counter[tuple[str, str, str]] = Counter()
+    objects: list[str] = []
+    for i in range(number):
+        rng = np.random.default_rng([seed, 0, i])
+        if not objects:
+            objects = list(rng.permutation(grasps.objects))
+        name = objects.pop()
+        number_of = grasps.objects.index(name)
+        able = [s for k, s in enumerate(grasps.subjects)
+                if s in subjects and ((grasps.object == number_of) & (grasps.subject == k)).any()]  # fmt: skip
+        if not able:
+            able, name = [subjects[i % len(subjects)]], _any_object(grasps, subjects[i % len(subjects)], rng)
+        subject = able[rng.integers(len(able))]
+        intent = str(rng.choice(list(SHARES), p=list(SHARES.values())))
+        if intent == "offhand" and name not in TWO_HANDED:
+            intent = "pass"
+        action = use_of(name).action if intent == "use" else intent
+        counts[subject, name, action] += 1
+        k = counts[subject, name, action]
+        entries.append(Entry(i, f"{subject}/{name}_{action}_{k}", subject, name, intent))
+    return entries
+
+
+# Symmetric objects, which a left hand can take as a right one does, and large enough for two.
+TWO_HANDED = frozenset(
+    {
+        "airplane", "binoculars", "bowl", "camera", "cubelarge", "cubemedium", "cup", "cylinderlarge", "cylindermedium",
+        "duck", "elephant", "flashlight", "flute", "fryingpan", "hammer", "headphones", "mug", "piggybank",
+        "spherelarge", "stanfordbunny", "teapot", "toruslarge", "train", "waterbottle", "wineglass",
+    }
+)  # fmt: skip
+
+
+def _any_object(grasps: OpenGrasps, subject: str, rng: np.random.Generator) -> str:
+    own = grasps.object[grasps.subject == grasps.subjects.index(subject)].unique()
+    return grasps.objects[int(own[rng.integers(len(own))])]
+
+
+def _made(entries: Sequence[Entry], root: Path, seed: int, processes: int) -> Iterator[tuple[Entry, dict[str, Any]]]:
+    if processes == 1:
+        for entry in entries:
+            yield entry, record(entry, root, seed)
+        return
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+        jobs = {pool.submit(record, entry, root, seed): entry for entry in entries}
+        for done in as_completed(jobs):
+            yield jobs[done], done.result()
+
+
+def record(entry: Entry, root: Path, seed: int) -> dict[str, Any]:
+    """Draw until a recording passes all checks, and write it.
+
+    Returns:
+        its report: frames, what the checks measured, and how many draws failed for which reason.
+    """
+    torch.set_num_threads(1)  # sums in another order would give other motions
+    actor, prop = _actor(entry.subject), _prop(root, entry.object)
+    holds = Holds(prop, actor, _grasps())
+    rejected: Counter[str] = Counter()
+    for attempt in range(_ATTEMPTS):
+        rng = np.random.default_rng([seed, 1, entry.number, attempt])
+        rests = prop.rests
+        rest = rests[0] if rng.random() < _LIES_AS_MODELLED else rests[rng.integers(len(rests))]
+        table = Table(rng.uniform(*TABLE_HEIGHTS) + actor.floor)
+        heading, spot = rng.uniform(-np.pi, np.pi), rng.normal(0, 0.3, 2)
+        try:
+            stage, _ = Scene(actor, prop, holds, table, rest, rng).make(entry.intent)
+        except InfeasibleError as error:
+            rejected[str(error)] += 1
+            continue
+        sequence = to_sequence(stage, table, entry.name, entry.object, entry.intent, heading, spot)
+        found = measure(sequence, stage, prop, table)
+        if faults := found.beyond(Measures()):
+            rejected.update(faults)
+            continue
+        sequence = with_contact(sequence, stage, prop.mesh)
+        report = {
+            "frames": len(sequence),
+            "table_height": round(table.top - actor.floor, 4),
+            "measures": found.rounded(),
+            "held_frames": sum(bool(h) for h in stage.held),
+            "attempts": attempt + 1,
+            "rejected": dict(rejected),
+        }
+        write_json(root / _REPORTS / f"{entry.name}.json", report)
+        write_sequence(_file(root, entry), sequence)
+        return report
+    report = {"given_up": _ATTEMPTS, "rejected": dict(rejected)}
+    write_json(root / _REPORTS / f"{entry.name}.json", report)
+    return report
+
+
+def _file(root: Path, entry: Entry) -> Path:
+    return root / "grab" / f"{entry.name}.npz"
+
+
+@cache
+def _grasps() -> OpenGrasps:
+    return load_open_grasps()
+
+
+@cache
+def _actor(subject: str) -> Actor:
+    found = {s.name: s for s in _subjects()}
+    return Actor(found[subject], _body(), HandModel.open())
+
+
+@cache
+def _body():
+    return open_body()
+
+
+@cache
+def _subjects():
+    return open_subjects(_body(), _grasps())
+
+
+@cache
+def _prop(root: Path, name: str) -> Prop:
+    return Prop(name, load_mesh(root / OBJECT_MESHES / f"{name}.ply", weld=False))
