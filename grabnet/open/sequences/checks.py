@@ -101,7 +101,7 @@ def measure(sequence: Sequence, stage: Performance, prop: Prop, table: Table) ->
             inside = -distance[torch.isfinite(distance)]
             trunk_depth = max(trunk_depth, float(inside.max()) if len(inside) else 0.0)
 
-    corners = sequence.object.to_world(torch.as_tensor(prop.mesh.vertices[:: max(1, len(prop.vertices) // 500)]))
+    corners = sequence.object.to_world(torch.as_tensor(prop.mesh.vertices[:: max(1, len(prop.vertices) // 500)].copy()))
     step = max(step, float(corners.diff(dim=0).norm(dim=-1).max()))
     height = prop.vertices @ sequence.object.rotations(slice(0, 1))[0].numpy().T[:, 2] + sequence.object.transl[0, 2]
     return Measures(

@@ -71,7 +71,7 @@ def test_joints_lie_inside(body):
 
 
 def test_rest_pose_is_smplx_s(body):
-    joints = {name: joint for name, joint in zip(JOINTS, body.rest_joints(body.v_template), strict=True)}
+    joints = dict(zip(JOINTS, body.rest_joints(body.v_template), strict=True))
     arm = joints["left_wrist"] - joints["left_shoulder"]
     assert arm[0] / arm.norm() > 0.99
     assert joints["head"][1] > joints["pelvis"][1] > joints["left_knee"][1] > joints["left_foot"][1]
