@@ -19,7 +19,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save, save_file
 from torch import Tensor
 
 from grabnet.body.hand import HandParameters
@@ -176,7 +176,7 @@ def write_shard(
     # In one value: safetensors writes several in an order that changes from process to process.
     facts = json.dumps({"subject": subject, "object": object_name, **header})
     with replacing(shard_path(root, sequence)) as temporary:
-        save_file(tensors, temporary, {"header": facts})
+        temporary.write_bytes(save(tensors, {"header": facts}))  # a full disk raises OSError, unlike with save_file
 
 
 def read_header(path: str | Path) -> dict[str, Any]:

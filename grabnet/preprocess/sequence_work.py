@@ -63,7 +63,8 @@ class SequenceWork:
         except UserError as error:
             failure = str(error)
         except Exception as error:
-            if isinstance(error, OSError) and error.errno in DISK_ERRORS:
+            of_store = isinstance(error, OSError) and Path(error.filename or self.store).is_relative_to(self.store)
+            if of_store and error.errno in DISK_ERRORS:
                 raise UserError(f"{self.store} cannot be written to ({error.strerror}): make room there.") from None
             at = [frame for frame in traceback.extract_tb(error.__traceback__) if "grabnet" in frame.filename][-1]
             failure = f"{type(error).__name__}: {error} ({Path(at.filename).name}, line {at.lineno})"
@@ -84,10 +85,12 @@ class SequenceWork:
         if self.filter.height == "table":
             gap = gap_to_table(sequence.object, thing, sequence.table, files.mesh(sequence.table.mesh))
         centroid = files.mesh(thing_file, weld=True).centroid  # as training has it
-        for track in [GraspTrack.right(sequence)] + [GraspTrack.left_mirrored(sequence)] * self.filter.mirror_left:
+        tracks = [GraspTrack.right(sequence)] + [GraspTrack.left_mirrored(sequence)] * self.filter.mirror_left
+        for track in tracks:
+            files.mesh(track.hand.vtemp)  # of use at the end only, but missing it is a fault of this recording
+        for track in tracks:
             passed = self.filter.passed(track, gap)
             kept = np.logical_and.reduce(list(passed.values())).nonzero()[0]
-            files.mesh(track.hand.vtemp)  # read at the end only, but missing it is a fault of this recording
             write_shard(
                 self.store,
                 track.name,
