@@ -69,8 +69,9 @@ def by_joblib(work: Work, names: Sequence[str], workers: int, max_deaths: int) -
 def by_dask(work: Work, names: Sequence[str], scheduler: str) -> Iterator[Outcome]:
     """Do the work for each name on the cluster of a scheduler; outcomes as they come.
 
-    What a worker had when it died goes to another one, until it has killed more than the scheduler's
-    `allowed-failures`, 3 unless configured otherwise.
+    What a worker had when it died goes to another one, until more workers have died of it than the scheduler's
+    `allowed-failures`, 3 unless configured otherwise. As dask blames all that a worker had, it gets as many lives once
+    more, alone on the cluster.
 
     Raises:
         UserError: dask is not installed, or no scheduler answers.
@@ -87,15 +88,18 @@ def by_dask(work: Work, names: Sequence[str], scheduler: str) -> Iterator[Outcom
         ) from None
     with client:
         name_of = {client.submit(work, name, pure=False): name for name in names}
+        blamed = []
         for future in as_completed(name_of, loop=client.loop):
-            error = future.exception()
-            if isinstance(error, KilledWorker):
-                yield Outcome(name_of[future], _killed())
-            elif error is not None:
-                raise error
+            if isinstance(future.exception(), KilledWorker):
+                blamed.append(name_of[future])
             else:
                 yield future.result()
             future.release()
+        for name in blamed:
+            try:
+                yield client.submit(work, name, pure=False).result()
+            except KilledWorker:
+                yield Outcome(name, _killed())
 
 
 def _killed(times: int | None = None) -> str:

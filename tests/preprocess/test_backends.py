@@ -37,12 +37,16 @@ def test_two_processes_write_what_one_writes(grab, made, tmp_path, cache_dir):
 
 
 def test_a_cluster_that_loses_a_worker_writes_what_one_process_writes(grab, made, tmp_path, cache_dir):
+    import dask
     from distributed import LocalCluster
 
     output = tmp_path / "data"
-    with LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50, local_directory=str(tmp_path)
-    ) as cluster:
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),  # one death is enough to be blamed
+        LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50, local_directory=str(tmp_path)
+        ) as cluster,
+    ):
 
         def kill_one_half_way():
             while len(shard_names(output / "frames")) < 2:
@@ -55,7 +59,7 @@ def test_a_cluster_that_loses_a_worker_writes_what_one_process_writes(grab, made
         failures = make(grab, output, cache_dir, "backend=dask", f"scheduler={cluster.scheduler_address}")
         assert killed.is_set() and failures == {}
         deaths = assert_all_done_but_the_deadly(by_dask(Dying(tmp_path), NAMES, cluster.scheduler_address), tmp_path)
-        assert deaths == 4  # dask allows 3
+        assert deaths == 2  # among others, and alone
     assert data_set(output) == data_set(made)
 
 

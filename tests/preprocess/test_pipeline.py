@@ -264,7 +264,7 @@ def test_a_store_of_something_else_is_not_gone_on_with(changed, own_grab, tmp_pa
 @pytest.mark.parametrize(
     ("values", "sentence"),
     [
-        (["data=opne"], "data is 'opne'; it can be open or grab."),
+        (["data=opne"], "There is no data 'opne'; data can be grab, open."),
         (["data=grab"], r"data=grab needs grab\.root="),
         (["backend=dask"], "belong together"),
         (["scheduler=tcp://10.0.0.1:8786"], "belong together"),
