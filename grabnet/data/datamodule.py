@@ -208,8 +208,10 @@ class IndexBatches(Sampler[tuple[Tensor, int]]):
             pieces = [batch[self.rank :: self.world_size] for batch in batches]
         else:
             pieces = torch.arange(self.n)[self.rank :: self.world_size].tensor_split(len(self))
+        # What is not shuffled meets the same noise in every epoch: its losses differ by the weights alone.
+        epoch = self.epoch if self.shuffle else 0
         for k, piece in enumerate(pieces):
-            yield piece, hash((self.seed, self.epoch, k * self.world_size + self.rank))
+            yield piece, hash((self.seed, epoch, k * self.world_size + self.rank))
 
 
 class _FrameNumbers(Dataset):

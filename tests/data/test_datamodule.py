@@ -116,6 +116,15 @@ def test_evaluation_drops_no_frame():
     assert torch.cat([index for index, _ in IndexBatches(50, 16, shuffle=False, seed=0)]).tolist() == list(range(50))
 
 
+def test_noise_is_new_in_every_epoch_of_training_and_never_in_evaluation():
+    for shuffle in (True, False):
+        batches = IndexBatches(50, 16, shuffle, seed=0)
+        seeds = [seed for _, seed in batches]
+        batches.set_epoch(1)
+        again = [seed for _, seed in batches]
+        assert len({*seeds, *again}) == (len(seeds) + len(again) if shuffle else len(seeds))
+
+
 @pytest.mark.parametrize("world_size", [2, 3])
 def test_processes_share_every_training_batch(world_size):
     whole = [index for index, _ in IndexBatches(50, 12, shuffle=True, seed=4)]

@@ -1,4 +1,5 @@
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -6,10 +7,14 @@ import roma
 import torch
 import trimesh
 
+import grabnet
+from grabnet.body.anatomy import FINGERS
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh
 from grabnet.models.grabber import Grabber
+from grabnet.models.trained import OPEN_GRABBER
+from grabnet.models.weights import FILE_NAME, read_provenance, save_network
 
 SIZES = np.array([0.05, 0.07, 0.06])
 
@@ -202,3 +207,36 @@ def test_many_grasps_are_fast(grabber, block, cache_dir):
     start = time.perf_counter()
     grabber(block, 256, cache_dir=cache_dir)
     assert time.perf_counter() - start < 10
+
+
+def test_the_shipped_networks_grasp_a_file(tmp_path, cache_dir):
+    """As printed in the README; the can is no object of the training data."""
+    path = tmp_path / "can.ply"
+    trimesh.creation.cylinder(0.03, 0.12).export(path)
+    grasps = grabnet.Grabber.from_pretrained("open")(path, n=20, cache_dir=cache_dir)
+    report = grasps.report()
+    pinched = [
+        r["contact_vertices"]["thumb"] > 0 and sum(r["contact_vertices"][f] > 0 for f in FINGERS) > 1 for r in report
+    ]
+    assert np.mean(pinched) > 0.8
+    assert np.mean([r["max_penetration_mm"] for r in report]) < 10
+
+
+def test_pretrained_networks_may_be_anyones(grabber, tmp_path):
+    for name, network in (("coarsenet", grabber.coarsenet), ("refinenet", grabber.refinenet)):
+        save_network(tmp_path / name / FILE_NAME, network, {})
+    loaded = Grabber.from_pretrained(tmp_path, n_turns=3)
+    assert loaded.n_turns == 3
+    for name, value in grabber.coarsenet.state_dict().items():
+        torch.testing.assert_close(loaded.coarsenet.state_dict()[name], value)
+    with pytest.raises(UserError, match="does not exist"):
+        Grabber.from_pretrained(tmp_path / "mistyped")
+
+
+def test_shipped_weights_fit_the_box():
+    files = [OPEN_GRABBER / name / FILE_NAME for name in ("coarsenet", "refinenet")]
+    assert sum(file.stat().st_size for file in files) < 12e6
+    for file in files:
+        record = read_provenance(file)
+        assert record["config"]["data"]["root"] == "data/open" and record["metrics"]["test/test/v2v_mae"] < 18.4
+        assert not Path(record["config"]["run_dir"]).is_absolute()

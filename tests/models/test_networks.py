@@ -126,6 +126,18 @@ def test_weights_survive_the_disk(tmp_path, hand):
         torch.testing.assert_close(a, b)
 
 
+def test_matrices_may_be_rounded(tmp_path):
+    network = small_coarsenet()
+    save_network(tmp_path / "whole.safetensors", network, {})
+    save_network(tmp_path / "half.safetensors", network, {}, torch.float16)
+    whole, half = ((tmp_path / f"{name}.safetensors").stat().st_size for name in ("whole", "half"))
+    assert half < 0.6 * whole
+    loaded = load_coarsenet(tmp_path / "half.safetensors").state_dict()
+    for name, value in network.state_dict().items():
+        exact = value.dim() != 2 or name == "bps.basis"
+        torch.testing.assert_close(loaded[name], value, rtol=0 if exact else 1e-3, atol=0 if exact else 1e-7)
+
+
 def test_wrong_checkpoints_are_told_in_a_sentence(tmp_path, hand):
     save_network(tmp_path / "model.safetensors", small_coarsenet(), {})
     with pytest.raises(UserError, match="holds CoarseNet, where RefineNet is wanted"):

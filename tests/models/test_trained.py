@@ -4,7 +4,7 @@ import pytest
 
 from grabnet.errors import UserError
 from grabnet.files import sha256
-from grabnet.models.trained import check_hand, find_network
+from grabnet.models.trained import OPEN_GRABBER, check_hand, find_network, find_pair
 from grabnet.models.weights import save_network
 
 
@@ -42,6 +42,17 @@ def test_a_missing_network_is_told_with_what_exists(runs, tmp_path):
         find_network("CoarseNet", None, tmp_path / "nowhere")
     with pytest.raises(UserError, match="does not exist"):
         find_network("CoarseNet", runs / "mistyped", runs)
+
+
+def test_a_pair_is_the_newest_or_the_shipped_one(runs, tmp_path):
+    coarse, fine, old = (runs / name / "model.safetensors" for name in ("coarse/new", "fine", "coarse/old"))
+    assert find_pair(runs=runs) == (coarse, fine)
+    assert find_pair(coarsenet=runs / "coarse" / "old", runs=runs) == (old, fine)
+    shipped = tuple(OPEN_GRABBER / name / "model.safetensors" for name in ("coarsenet", "refinenet"))
+    assert find_pair(runs=tmp_path / "nowhere") == shipped
+    assert find_pair(coarsenet=coarse, runs=tmp_path / "nowhere") == (coarse, shipped[1])
+    fine.unlink()
+    assert find_pair(runs=runs) == shipped  # a pair trained together, not half of one
 
 
 def test_another_hand_is_refused(runs, grabber, tmp_path):
