@@ -23,8 +23,9 @@ LEAN, TURN, TILT, DOWN, ASIDE = range(5)
 UPRIGHT = np.zeros(5)
 _OF_PELVIS = 0.35  # share of the lean that the pelvis takes, about the hips, so that legs and feet stay where they are
 _AXIAL = np.array([1, -1, -1], np.float32)
-# An arm that has nothing to do hangs beside the body, bent a little: rotation vectors of shoulder, elbow and wrist.
-_HANGING = np.array([[0, 0.25, 1.12], [0, 0.45, 0], [0, 0, 0]])
+# An arm that has nothing to do hangs beside the body and somewhat behind it, clear of the table: radians by which the
+# shoulder drops and goes back and the elbow bends.
+_DROP, _BACK, _BEND = 1.15, 0.3, 0.3
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,10 @@ class Actor:
 
     def hanging(self, side: str) -> np.ndarray:
         """(3, 3, 3) rotations of an arm that has nothing to do."""
-        return Rotation.from_rotvec(_HANGING * (1 if side == "right" else _AXIAL)).as_matrix()
+        inward = 1 if side == "right" else -1
+        shoulder = Rotation.from_rotvec([_BACK, 0, 0]) * Rotation.from_rotvec([0, 0, inward * _DROP])
+        elbow = Rotation.from_rotvec([0, inward * _BEND, 0])
+        return np.stack([shoulder.as_matrix(), elbow.as_matrix(), np.eye(3)])
 
     def hand_vertices(self, side: str, wrist: Pose, angles: np.ndarray) -> np.ndarray:
         """(N, 778, 3) of hands whose wrist joints are at N poses, with (N, 21) anatomical angles."""

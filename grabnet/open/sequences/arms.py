@@ -12,7 +12,7 @@ from grabnet.open.sequences.motion import Pose
 # Degrees, about what people can do: (lowest, highest) and where they like to be.
 SUPINATION, WRIST_FLEXION, WRIST_DEVIATION = ((-15, 160), 70), ((-65, 65), 0), ((-32, 32), 0)
 SWIVEL = ((-50, 85), 10)
-LONGEST_REACH, SHORTEST_REACH = 0.985, 0.42  # shares of the arm's length
+LONGEST_REACH, SHORTEST_REACH = 0.985, 0.32  # shares of the arm's length
 TWIST_OF_FOREARM = 0.6  # share of pronation that the forearm takes; the wrist has the rest, as skin does
 
 
@@ -115,6 +115,12 @@ def effort(pose: ArmPose, swivel: np.ndarray) -> np.ndarray:
         total += ((value - middle) / np.where(value > middle, high - middle, middle - low)) ** 2
     total += np.maximum(pose.reach - 0.9, 0) ** 2 * 100
     return np.where(beyond, np.inf, total)
+
+
+def strained(pose: ArmPose, margin: float = 18) -> np.ndarray:
+    """(N,) whether a wrist is more than `margin` degrees beyond its limits, as may not even be passed through."""
+    limits = ((pose.supination, SUPINATION), (pose.flexion, WRIST_FLEXION), (pose.deviation, WRIST_DEVIATION))
+    return np.any([(v < low - margin) | (v > high + margin) for v, ((low, high), _) in limits], axis=0)
 
 
 def _about_thumb(bend: np.ndarray, twisted: Rotation) -> np.ndarray:

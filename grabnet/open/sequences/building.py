@@ -28,12 +28,13 @@ from grabnet.open.grasps.store import OPEN_GRASPS, OpenGrasps, load_open_grasps
 from grabnet.open.objects.writing import write_objects
 from grabnet.open.sequences.actor import Actor
 from grabnet.open.sequences.checks import Measures, measure
+from grabnet.open.sequences.labelling import with_contact
 from grabnet.open.sequences.performance import InfeasibleError
 from grabnet.open.sequences.plans import Scene
 from grabnet.open.sequences.props import Holds, Prop
 from grabnet.open.sequences.setting import TABLE_HEIGHTS, Table
 from grabnet.open.sequences.uses import use_of
-from grabnet.open.sequences.writing import to_sequence, with_contact, write_table
+from grabnet.open.sequences.writing import to_sequence, write_table
 from grabnet.provenance import provenance
 
 SHARES = {"use": 0.43, "pass": 0.28, "lift": 0.2, "offhand": 0.09}  # of the recordings, about GRAB's
@@ -64,23 +65,22 @@ def build_sequences(
         subjects: names; all ten when omitted.
 
     Raises:
-        UserError: numbers that ask for nothing, or an unknown subject.
+        UserError: numbers that ask for nothing, an unknown subject, or sequences there that were made otherwise.
     """
     root, grasps = Path(root), load_open_grasps()
     if number < 1 or processes < 1:
         raise UserError(f"--number {number} and --processes {processes} must be at least 1.")
     if unknown := sorted(set(subjects or ()) - set(grasps.subjects)):
         raise UserError(f"There is no subject {', '.join(unknown)}; choose from {', '.join(grasps.subjects)}.")
+    body_hash = sha256(OPEN_BODY / "SMPLX_NEUTRAL.npz", OPEN_BODY / "subjects.npz")
+    recipe = {"seed": seed, "subjects": list(subjects or grasps.subjects), "grasps_sha256": sha256(OPEN_GRASPS)}
+    recipe["body_sha256"] = body_hash
+    _claim(root, recipe)
     write_objects(root, processes)
     body = open_body()
     write_subjects(root, body, open_subjects(body, grasps))
     write_table(root)
-    entries = schedule(grasps, number, seed, tuple(subjects or grasps.subjects))
-    recipe = {
-        "seed": seed,
-        "grasps_sha256": sha256(OPEN_GRASPS),
-        "body_sha256": sha256(OPEN_BODY / "SMPLX_NEUTRAL.npz"),
-    }
+    entries = schedule(grasps, number, seed, tuple(recipe["subjects"]))
     missing = [entry for entry in entries if not _file(root, entry).exists()]
     console = Console()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -107,6 +107,18 @@ def build_sequences(
     )
     write_json(root / "sequences.json", summary)
     console.print(f"Wrote {len(made)} sequences, {summary['frames']} frames, to {root / 'grab'}.")
+
+
+def _claim(root: Path, recipe: dict[str, Any]) -> None:
+    """Note what the sequences below `root` are made from; refuse to mix them with others."""
+    path = root / _REPORTS / "recipe.json"
+    if path.exists() and (there := json.loads(path.read_text(encoding="utf-8"))) != recipe:
+        other = ", ".join(key for key in recipe if there.get(key) != recipe[key])
+        raise UserError(
+            f"{root} holds sequences made with another {other}: choose another --root, or delete {root / 'grab'} and "
+            f"{root / _REPORTS} first."
+        )
+    write_json(path, recipe)
 
 
 def schedule(grasps: OpenGrasps, number: int, seed: int, subjects: Sequence[str]) -> list[Entry]:
@@ -138,9 +150,9 @@ def schedule(grasps: OpenGrasps, number: int, seed: int, subjects: Sequence[str]
 # Symmetric objects, which a left hand can take as a right one does, and large enough for two.
 TWO_HANDED = frozenset(
     {
-        "airplane", "binoculars", "bowl", "camera", "cubelarge", "cubemedium", "cup", "cylinderlarge", "cylindermedium",
-        "duck", "elephant", "flashlight", "flute", "fryingpan", "hammer", "headphones", "mug", "piggybank",
-        "spherelarge", "stanfordbunny", "teapot", "toruslarge", "train", "waterbottle", "wineglass",
+        "airplane", "binoculars", "bowl", "cubelarge", "cup", "cylinderlarge", "duck", "elephant", "flashlight",
+        "flute", "fryingpan", "headphones", "mug", "spherelarge", "stanfordbunny", "teapot", "toothbrush", "toothpaste",
+        "toruslarge", "train", "waterbottle", "wineglass",
     }
 )  # fmt: skip
 
@@ -187,7 +199,7 @@ def record(entry: Entry, root: Path, seed: int) -> dict[str, Any]:
         if faults := found.beyond(Measures()):
             rejected.update(faults)
             continue
-        sequence = with_contact(sequence, stage, prop.mesh)
+        sequence = with_contact(sequence, actor, prop)
         report = {
             "frames": len(sequence),
             "table_height": round(table.top - actor.floor, 4),

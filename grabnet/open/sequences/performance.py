@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from grabnet.open.sequences.actor import SIDES, UPRIGHT, Actor
-from grabnet.open.sequences.arms import LONGEST_REACH, ArmPose, effort
+from grabnet.open.sequences.arms import LONGEST_REACH, ArmPose, strained
 from grabnet.open.sequences.motion import Pose, between, minimum_jerk, ramp
 
 FRAMERATE = 120
@@ -84,7 +84,7 @@ class Performance:
                 pose = self.solve(side, goal.wrist, swivel, trunks)
                 if (pose.reach > LONGEST_REACH).any():
                     raise InfeasibleError("out of reach on the way")
-                if np.isinf(effort(pose, np.zeros(n))).mean() > 0.2:
+                if strained(pose).any():
                     raise InfeasibleError("wrist beyond its limits on the way")
                 rotations = pose.rotations
                 self._swivel[side] = goal.swivel

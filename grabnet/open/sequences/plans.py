@@ -29,7 +29,10 @@ from grabnet.open.sequences.uses import motion_of, tilt_of, use_of
 
 INTENTS = ("use", "pass", "lift", "offhand")
 _T_POSE = np.tile(np.eye(3), (3, 1, 1))
-_HANDS_APART = 0.006  # metres between the two hands' vertices when both hold the object
+# Metres between the two hands' vertices when both hold the object; a coarser measure of it, to choose by.
+_HANDS_APART, _ROOM = 0.004, 0.012
+# Where a hand is between its own side and where its approach starts: above the table, metres.
+_ABOVE = np.array([0, 0.15, -0.04])
 
 
 @dataclass
@@ -57,7 +60,7 @@ class Scene:
         self._take(stage, hold, reach, first=True)
         for last in (False, True):
             up = self._carry(hold, reach.thing, (-0.2, 0.15, 0.25), (0.2, 0.35, 0.5), (0.25, 0.3), True)
-            self._bring(stage, hold, up, "leave", self._seconds(0.8, 1.1))
+            self._bring(stage, hold, up, "leave", self._seconds(0.7, 0.9))
             self._stay(stage, hold, up, self._seconds(0.15, 0.4))
             if last:
                 self._put_down(stage, hold, reach)
@@ -112,7 +115,8 @@ class Scene:
     def _offhand(self) -> tuple[Performance, str]:
         if "left" not in self.holds.sides:
             raise InfeasibleError("no left-hand grasps")
-        first, reach = self._place("left")
+        takes = self._room().any(1).nonzero()[0]
+        first, reach = place(self.actor, self.holds, "left", self.table, self.rest, self.rng, only=takes)
         stage = self._start(reach.thing)
         self._take(stage, first, reach, first=True)
         second, meet = self._hand_over(first, reach.thing)
@@ -174,9 +178,11 @@ class Scene:
         """Come to the object on the table and close the hand."""
         before, swivel = hold.approach(reach.thing), reach.swivels[0]
         other = "left" if hold.side == "right" else "right"
-        arms = {hold.side: stage.at(hold.side, before, swivel, reach.trunk), other: self.actor.hanging(other)}
+        above = Pose(before.rotation, before.position + _ABOVE)
+        arms = {hold.side: stage.at(hold.side, above, swivel, reach.trunk), other: self.actor.hanging(other)}
         relaxed = {hold.side: hold.open, other: 0.3 * hold.open}
-        stage.move(self._seconds(1.2, 1.5) if first else 0.7, reach.trunk, **arms, fingers=relaxed)
+        stage.move(self._seconds(1.1, 1.4) if first else 0.5, reach.trunk, **arms, fingers=relaxed)
+        stage.move(0.35, **{hold.side: Guided(travel(above, before, round(0.35 * FRAMERATE)), swivel)})
         path = travel(before, reach.thing @ hold.wrist, round(0.4 * FRAMERATE))
         stage.move(0.4, **{hold.side: Guided(path, swivel)})
         still = Guided(stage.resting(0.25) @ hold.wrist, swivel)
@@ -194,7 +200,7 @@ class Scene:
     def _stay(self, stage: Performance, hold: Hold, goal: Reach, seconds: float) -> None:
         self._follow(stage, hold, stage.resting(seconds), goal)
 
-    def _put_down(self, stage: Performance, hold: Hold, reach: Reach, seconds: float = 0.9) -> None:
+    def _put_down(self, stage: Performance, hold: Hold, reach: Reach, seconds: float = 0.8) -> None:
         self._bring(stage, hold, reach, "land", seconds)
 
     def _let_go(self, stage: Performance, hold: Hold) -> None:
@@ -204,6 +210,9 @@ class Scene:
         stage.move(0.25, **{hold.side: still}, fingers={hold.side: hold.open})
         path = travel(stage.thing @ hold.wrist, hold.approach(stage.thing), round(0.4 * FRAMERATE))
         stage.move(0.4, **{hold.side: Guided(path, swivel)})
+        before = hold.approach(stage.thing)
+        above = Pose(before.rotation, before.position + _ABOVE)
+        stage.move(0.3, **{hold.side: Guided(travel(before, above, round(0.3 * FRAMERATE)), swivel)})
 
     def _leave(self, stage: Performance) -> None:
         """Back to T-pose."""
@@ -225,16 +234,20 @@ class Scene:
         headings = self.rng.uniform(-np.pi, np.pi, n)
         return Rotation.from_rotvec(headings[:, None] * [0, 1, 0]).as_matrix() @ UP @ self.rest
 
+    def _room(self) -> np.ndarray:
+        """(N, N) whether a left grasp leaves a right one room, and that one can put the object down afterwards."""
+        return (self.holds.apart > _ROOM) & (self.holds.clearance("right", self.rest) > -0.0005)
+
     def _hand_over(self, first: Hold, thing: Pose, n: int = 6000, tries: int = 40) -> tuple[Hold, Reach]:
         """A place before the chest, and a grasp of the right hand that leaves the left one room."""
         actor = self.actor
         things = somewhere(self.rng, self.prop, thing.rotation, (-0.12, 0.12, 0.25), (0.12, 0.4, 0.45), 0.5, 0.9, n)
         grasp = self.rng.integers(len(self.holds), size=n)
+        free = self._room()[first.number].nonzero()[0]
+        grasp = self.rng.choice(free, n)
         right = self.holds.wrist["right"]
         draws: Draws = draw_trunks(self.rng, n, 2, (-0.05, 0.25))
-        # Only put down as it was: what the right hand takes must clear the table afterwards.
-        clear = self.holds.clearance("right", self.rest) > -0.0005
-        total = trunk_effort(draws.trunk) + np.where(clear[grasp], 0, np.inf)
+        total = trunk_effort(draws.trunk)
         total += hand_effort(actor, "left", things @ first.wrist, draws, 0, self.table, None)
         second = Pose(right.rotation[grasp], right.position[grasp])
         total += hand_effort(actor, "right", things @ second, draws, 1, self.table, None)

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 import trimesh
 
+from grabnet.body.anatomy import FINGERS
 from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.sdf_grid import SDFGrid
@@ -18,6 +19,12 @@ from grabnet.open.sequences.motion import Pose
 
 UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from z up to y up
 _OPENINGS = (0.45, 0.2, 0.7)  # shares of a grasp's flexion that open hands keep, in the order of trial
+# Recorded hands are millimetres deep in the objects that they hold, since flesh gives way and body models do not (on
+# average 3.25 mm in the paper). Metres that each finger is pressed in, the least that counts as pressed (thin walls
+# allow less), and what is tried to get there: radians added to the flexion of its joints.
+_PRESSED, _BARELY_PRESSED = 0.0045, 0.0035
+_PRESSES = np.arange(0, 0.45, 0.02)
+_RELEASES = -np.arange(0, 0.21, 0.01)
 _AWAY = 0.11  # metres from where an approach starts to the grasp
 _STEPS = np.array([0.0, 0.012, 0.03, 0.06, _AWAY])
 
@@ -26,11 +33,13 @@ _STEPS = np.array([0.0, 0.012, 0.03, 0.06, _AWAY])
 class Hold:
     """How one hand holds the object.
 
-    wrist: its pose in the object's frame. closed, open: (21,) angles in the grasp and while the hand comes and goes.
+    number: of the grasp. wrist: its pose in the object's frame. closed, open: (21,) angles in the grasp, and while the
+    hand comes and goes.
     back: (3,) offset in the object's frame, from the grasp to where the approach starts.
     """
 
     side: str
+    number: int
     wrist: Pose
     closed: np.ndarray
     open: np.ndarray
@@ -59,10 +68,10 @@ class Prop:
         """Rotations (3, 3), z up, in which it lies still: as modelled first, then others, likeliest first."""
         solid = trimesh.Trimesh(self.vertices, self.mesh.faces, process=False).convex_hull
         found = [np.eye(3)]
-        for rotation, share in zip(*trimesh.poses.compute_stable_poses(solid, threshold=0.08), strict=True):
-            if share > 0.08 and all(abs(rotation[2, :3] @ other[2]) < 0.97 for other in found):
+        for rotation, _ in zip(*trimesh.poses.compute_stable_poses(solid, threshold=0.01), strict=True):
+            if all(abs(rotation[2, :3] @ other[2]) < 0.97 for other in found):
                 found.append(rotation[:3, :3])
-        return found[:3]
+        return found[:4]
 
     @cached_property
     def mirror(self) -> tuple[np.ndarray, np.ndarray] | None:
@@ -115,6 +124,12 @@ class Holds:
         table = (self.prop.vertices @ rest[2]).min()
         return (self._vertices[side] @ rest[2]).min(1) - table
 
+    @cached_property
+    def apart(self) -> np.ndarray:
+        """(N, N) metres, about, between the hands of each left grasp (row) and each right one (column)."""
+        left, right = (torch.as_tensor(self._vertices[side][:, ::4].copy()) for side in ("left", "right"))
+        return np.stack([torch.cdist(one[None], right).amin((1, 2)).numpy() for one in left])
+
     def hold(self, side: str, k: int, up: np.ndarray | None = None, table: float = 0.0) -> Hold | None:
         """The k-th grasp with a way for the open hand to get there, or None if every way cuts through the object.
 
@@ -122,7 +137,7 @@ class Holds:
             up: (3,) of the world in the object's frame, to stay above a table at `table` along it; no table if omitted.
         """
         wrist = Pose(self.wrist[side].rotation[k], self.wrist[side].position[k])
-        closed = self.angles[k]
+        closed = self.pressed(side, k)
         x, y = wrist.rotation[:, 0] * (1 if side == "right" else -1), wrist.rotation[:, 1]  # backwards; off the palm
         ways = [y, x + y, x, 0.4 * x + y, x + 0.4 * y]
         if up is not None:
@@ -138,10 +153,38 @@ class Holds:
                     continue
                 depth = self.prop.distance(vertices.reshape(-1, 3)).min()
                 if best is None or depth > best[0] + 0.0005:
-                    best = depth, Hold(side, wrist, closed, opened, back)
+                    best = depth, Hold(side, k, wrist, closed, opened, back)
             if best and best[0] > -0.002:
                 break
         return best[1] if best and best[0] > -0.004 else None
+
+    def pressed(self, side: str, k: int) -> np.ndarray:
+        """(21,) angles of the k-th grasp, the fingers that touch pressed into the object as flesh would be.
+
+        A finger on a wall too thin for that is laid on the surface instead.
+        """
+        anatomy, closed = self.actor.anatomy, self.angles[k].copy()
+        bends = np.array([n.endswith(("flexion", "pip", "dip", "_mcp", "_ip")) for n in anatomy.angle_names])
+        changes = np.concatenate([_PRESSES, _RELEASES])
+        wrist, n = self.wrist[side], len(changes)
+        wrist = Pose(np.tile(wrist.rotation[k], (n, 1, 1)), np.tile(wrist.position[k], (n, 1)))
+        tried = closed + changes[:, None] * bends
+        vertices = self.actor.hand_vertices(side, wrist, tried)
+        depth = -self.prop.distance(vertices.reshape(-1, 3)).reshape(n, -1)
+        for finger, name in enumerate(FINGERS):
+            own = depth[:, anatomy.finger.numpy() == finger].max(1)
+            press, release = own[: len(_PRESSES)], own[len(_PRESSES) :]
+            if own[0] < -0.003:
+                continue  # it does not touch
+            # Pressing ends where it is deep enough, or gets no deeper: halfway through a wall.
+            good = (press[1:] <= _PRESSED) & (press[1:] > press[:-1] + 2e-5)
+            step = len(good) if good.all() else int(good.argmin())
+            if press[step] < _BARELY_PRESSED:
+                clear = (release < -1e-4).nonzero()[0]
+                step = len(_PRESSES) + int(clear[0]) if len(clear) else 0
+            angles = [name in n for n in anatomy.angle_names]
+            closed[angles] = tried[step, angles]
+        return closed
 
     def opened(self, closed: np.ndarray, share: float) -> np.ndarray:
         """(21,) angles of a hand that is opened to a share of its flexion."""

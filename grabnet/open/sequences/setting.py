@@ -15,7 +15,7 @@ from grabnet.open.sequences.performance import InfeasibleError, solve
 from grabnet.open.sequences.props import UP, Hold, Holds, Prop
 
 TABLE_HEIGHTS = (0.75, 1.20)  # metres above the floor
-TABLE_SIZE = (1.30, 0.03, 0.75)  # metres: width, thickness, depth
+TABLE_SIZE = (1.10, 0.03, 0.70)  # metres: width, thickness, depth
 TABLE_EDGE = 0.27  # metres from the pelvis at rest to the near edge
 _FOREARM_RADIUS = 0.045  # metres that the bones of the forearm stay above the table
 
@@ -105,6 +105,7 @@ def place(
     rest: np.ndarray,
     rng: np.random.Generator,
     also: Hold | None = None,
+    only: np.ndarray | None = None,
     n: int = 5000,
     tries: int = 12,
 ) -> tuple[Hold, Reach]:
@@ -112,12 +113,14 @@ def place(
 
     Args:
         also: a hold by which the object is put there first, which must be easy too.
+        only: numbers of the grasps to choose from; all when omitted.
 
     Raises:
         InfeasibleError: no easy grasp found.
     """
     prop = holds.prop
     free = (holds.clearance(side, rest) > -0.0005).nonzero()[0]
+    free = free if only is None else np.intersect1d(free, only)
     if not len(free):
         raise InfeasibleError("no grasp clears the table")
     draws = draw_trunks(rng, n, 2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,6 @@ from grabnet.open.sequences.motion import Pose
 from grabnet.open.sequences.performance import FRAMERATE, Performance
 from grabnet.open.sequences.props import UP
 from grabnet.open.sequences.setting import TABLE_SIZE, Table
-from grabnet.preprocess.annotation import annotate
 
 TABLE_MESH = "tools/table_meshes/table.ply"  # "table" among the objects is a toy
 N_COMPS = 24
@@ -94,11 +92,6 @@ def to_sequence(
         table=_rigid(room @ middle, TABLE_MESH),
         contact=ContactTrack(np.zeros((n, 0), np.uint8), np.zeros((n, 0), np.uint8)),
     )
-
-
-def with_contact(sequence: Sequence, stage: Performance, mesh: Mesh) -> Sequence:
-    """The sequence with labels found from the surfaces."""
-    return replace(sequence, contact=annotate(sequence, stage.actor.body, stage.actor.v_template, mesh))
 
 
 def write_table(root: Path) -> None:
