@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import hydra
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -99,12 +100,17 @@ def compose(config_name: str, overrides: Sequence[str]) -> DictConfig:
         UserError: an override that names or says what is not there.
     """
     folder, name = _place(config_name)
+    running = GlobalHydra.instance().hydra  # of the command that asks
+    GlobalHydra.instance().clear()
     try:
         with hydra.initialize_config_dir(str(folder), version_base="1.3"):
             cfg = hydra.compose(name, list(overrides), return_hydra_config=True)
         HydraConfig.instance().set_config(cfg)  # for interpolations such as ${hydra:runtime.choices.model}
     except (HydraException, OmegaConfBaseException) as error:
         raise UserError(_sentence(error)) from None
+    finally:
+        if running is not None:
+            GlobalHydra.instance().initialize(running)
     with open_dict(cfg):
         del cfg["hydra"]
     check(cfg)
