@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +81,7 @@ class Card:
         by = {f"by_{aspect}": dict(sorted(counter.items())) for aspect, counter in counts.items()}
         return {"in_all": counts["split"].total(), **by}
 
-    def _shares(self, kind: str, group_of: Any) -> dict[str, dict[str, Any]]:
+    def _shares(self, kind: str, group_of: Callable[[Mapping[str, Any]], str]) -> dict[str, dict[str, Any]]:
         """Of frames, and of the paper's contact frames by intent: how many there are, and shares of what touches."""
         groups: dict[str, Counter[str]] = {}
         for header in self.headers.values():
@@ -104,7 +104,7 @@ class Card:
             f"{sequences['without_frames']:,} gave none{failed}.",
             "",
             *_table("What the filter left", self._left()),
-            *_table("Part of the right hand that touches, in training frames", content["touching_in_frames"]),
+            *_table("Part of the right hand that touches, in the frames kept", content["touching_in_frames"]),
             *_table(
                 "Who touches in contact frames (paper: object 5 mm off its height, 50 body vertices in contact)",
                 content["touching_in_contact_frames"],

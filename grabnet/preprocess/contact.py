@@ -55,10 +55,10 @@ class ContactAnnotator:
         self.body = MovingMesh(self._lids.with_middles(rest), np.concatenate([faces, self._lids.faces]))
         self.thing = MovingMesh(thing.vertices, thing.faces)
         self.parts, self.distance = np.asarray(parts, np.uint8), distance
-        # Of each face: two corners' part, if two agree; 0 on lids, which are no part.
+        # Of each face: two corners' part, if two agree; lids are no part.
         self.face_parts = np.zeros(len(self.body.faces), np.uint8)
         self.face_parts[: len(faces)] = np.sort(self.parts[faces], 1)[:, 1]
-        self._skin = self.face_parts > 0
+        self._skin = np.arange(len(self.body.faces)) < len(faces)
         self._around = _Neighbours(len(thing.vertices), self.thing.edges)
 
     def __call__(self, vertices: np.ndarray) -> Contact:
@@ -66,7 +66,7 @@ class ContactAnnotator:
         self.body.move(self._lids.with_middles(vertices))
         crossings = find_crossings(self.body, self.thing)
         touched = self._enclosed(crossings, self._counting_rings(crossings))
-        cutting = np.unique(self.face_parts[crossings.body_faces])
+        cutting = np.unique(self.face_parts[crossings.body_faces[self._skin[crossings.body_faces]]])
 
         n = len(self.thing.vertices)
         face, position = np.full(n, -1, np.int32), np.zeros((n, 3), np.float32)
@@ -128,8 +128,8 @@ class ContactAnnotator:
         """
         n = crossings.n_rings
         votes = np.zeros((n, 256), int)
-        np.add.at(votes, (crossings.body_face_ring, self.face_parts[crossings.body_faces]), 1)
-        votes[:, 0] = 0
+        skin = self._skin[crossings.body_faces]
+        np.add.at(votes, (crossings.body_face_ring[skin], self.face_parts[crossings.body_faces[skin]]), 1)
         part, counting = votes.argmax(1), votes.any(1)  # not those that cut lids alone
         if n < 2:
             return counting

@@ -35,6 +35,8 @@ from grabnet.preprocess.sequence_work import SequenceWork, peak_memory
 from grabnet.provenance import provenance
 
 SOURCES, LABELS, BACKENDS = ("open", "grab"), ("stored", "recompute"), ("joblib", "dask")
+# Modules here that decide no shard.
+_AROUND = ("backends", "card", "finishing", "pictures", "pipeline", "resuming")
 # What is written beside the store.
 _RECORDS = ("card.*", "waterfall.*", "contact.png", "agreement.json", "failures.json", "run.json")
 
@@ -94,8 +96,8 @@ class Preprocessing:
         return self.root / "frames"
 
     def recipe(self) -> dict[str, Any]:
-        """All that decides a shard besides its recording: settings, models, and this code."""
-        sources = sorted(Path(__file__).parent.glob("*.py"))
+        """All that decides a shard besides its recording: settings, models, and the code that makes it."""
+        sources = sorted(path for path in Path(__file__).parent.glob("*.py") if path.stem not in _AROUND)
         bodies = sorted({self.recordings.body(gender) for gender in ("female", "male")}) * (self.contact == "recompute")
         return {
             "filter": asdict(self.filter),
