@@ -98,7 +98,8 @@ class Preprocessing:
     def recipe(self) -> dict[str, Any]:
         """All that decides a shard besides its recording: settings, models, and the code that makes it."""
         sources = sorted(path for path in Path(__file__).parent.glob("*.py") if path.stem not in _AROUND)
-        bodies = sorted({self.recordings.body(gender) for gender in ("female", "male")}) * (self.contact == "recompute")
+        genders = ("female", "male") if self.contact == "recompute" else ()
+        bodies = sorted({self.recordings.body(gender) for gender in genders})
         return {
             "filter": asdict(self.filter),
             "contact": self.contact,

@@ -285,8 +285,10 @@ def test_mistakes_are_told_at_once(values, sentence, tmp_path):
         raise mistake
 
 
-def test_missing_models_are_named(grab, tmp_path, cache_dir):
+def test_missing_models_are_named_where_they_are_needed(grab, tmp_path, cache_dir):
+    (tmp_path / "models").mkdir()
+    shutil.copyfile(grab[1] / "MANO_RIGHT.npz", tmp_path / "models/MANO_RIGHT.npz")
+    here = (grab[0], tmp_path / "models")
     with pytest.raises(UserError, match="holds neither SMPLX_FEMALE nor smplx/SMPLX_FEMALE"):
-        (tmp_path / "models").mkdir()
-        shutil.copyfile(grab[1] / "MANO_RIGHT.npz", tmp_path / "models/MANO_RIGHT.npz")
-        make((grab[0], tmp_path / "models"), tmp_path / "data", cache_dir, "contact=recompute")
+        make(here, tmp_path / "data", cache_dir, "contact=recompute")
+    assert make(here, tmp_path / "data", cache_dir) == {}
