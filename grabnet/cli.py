@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import hydra
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -25,7 +26,10 @@ CONFIGS = Path(__file__).parents[1] / "configs"
 
 
 def hydra_entry(config_name: str) -> Callable[[Callable[[DictConfig], object]], Callable[[], None]]:
-    """Decorate `main(cfg)` as a command that composes `configs/<config_name>.yaml` from the command line."""
+    """Decorate `main(cfg)` as a command that composes `configs/<config_name>.yaml` from the command line.
+
+    Its groups are the folders beside that file: a name like "preprocess/preprocess" has groups of its own.
+    """
 
     def decorate(main: Callable[[DictConfig], object]) -> Callable[[], None]:
         @functools.wraps(main)
@@ -46,7 +50,8 @@ def hydra_entry(config_name: str) -> Callable[[Callable[[DictConfig], object]], 
                 _rehearse(config_name, sys.argv[1:])
             except UserError as error:
                 fail(error)
-            hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name=config_name)(job)()
+            folder, name = _place(config_name)
+            hydra.main(version_base="1.3", config_path=str(folder), config_name=name)(job)()
 
         return entry
 
@@ -94,16 +99,27 @@ def compose(config_name: str, overrides: Sequence[str]) -> DictConfig:
     Raises:
         UserError: an override that names or says what is not there.
     """
+    folder, name = _place(config_name)
+    running = GlobalHydra.instance().hydra  # of the command that asks
+    GlobalHydra.instance().clear()
     try:
-        with hydra.initialize_config_dir(str(CONFIGS), version_base="1.3"):
-            cfg = hydra.compose(config_name, list(overrides), return_hydra_config=True)
+        with hydra.initialize_config_dir(str(folder), version_base="1.3"):
+            cfg = hydra.compose(name, list(overrides), return_hydra_config=True)
         HydraConfig.instance().set_config(cfg)  # for interpolations such as ${hydra:runtime.choices.model}
     except (HydraException, OmegaConfBaseException) as error:
         raise UserError(_sentence(error)) from None
+    finally:
+        if running is not None:
+            GlobalHydra.instance().initialize(running)
     with open_dict(cfg):
         del cfg["hydra"]
     check(cfg)
     return cfg
+
+
+def _place(config_name: str) -> tuple[Path, str]:
+    """The folder that a config is composed from, and its name in it."""
+    return (CONFIGS / config_name).parent, (CONFIGS / config_name).name
 
 
 def _sentence(error: Exception) -> str:

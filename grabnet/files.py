@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -14,6 +15,9 @@ from typing import Any
 import numpy as np
 
 from grabnet.errors import UserError
+
+# What a disk says that takes no more.
+DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES}
 
 
 @contextmanager
@@ -36,6 +40,16 @@ def replacing(path: str | Path) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def leftovers(folder: str | Path, *names: str) -> list[Path]:
+    """What processes that were killed within `replacing` left half-written of files of these names below a folder.
+
+    Args:
+        names: `<stem>.<suffix>`, either of which may be *, after folders, which may be * as well.
+    """
+    patterns = [Path(name).parent / f".{Path(name).stem}-????????{Path(name).suffix}" for name in names]
+    return [path for pattern in patterns for path in Path(folder).glob(str(pattern)) if path.is_file()]
 
 
 def write_json(path: str | Path, value: Any) -> None:

@@ -16,10 +16,15 @@ def provenance(**facts: Any) -> dict[str, Any]:
     """Time, versions, machine and commit, and the caller's own facts."""
     return {
         "made": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES},
+        "versions": versions(),
         "machine": f"{platform.system()} {platform.machine()}",
         "commit": _commit(),
     } | facts
+
+
+def versions() -> dict[str, str | None]:
+    """Of Python and the packages that results depend on."""
+    return {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES}
 
 
 def _version(package: str) -> str | None:

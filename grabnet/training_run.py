@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import errno
 import logging
 import sys
 import warnings
@@ -23,7 +22,7 @@ from omegaconf import DictConfig, OmegaConf
 from grabnet.cli import fail
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.errors import UserError
-from grabnet.files import replacing, sha256, write_json
+from grabnet.files import DISK_ERRORS, replacing, sha256, write_json
 from grabnet.history import History, best_epoch
 from grabnet.models.acceleration import compile_blocks, set_matmul_precision
 from grabnet.models.checkpoints import BEST, AtomicCheckpointIO, newest_whole, read_checkpoint
@@ -34,9 +33,6 @@ from grabnet.provenance import provenance
 from grabnet.sweeps.runs import METRICS, Pruned
 
 log = logging.getLogger(__name__)
-
-# What a disk says that takes no more.
-DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES}
 
 
 def train(cfg: DictConfig) -> dict[str, float]:

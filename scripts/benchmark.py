@@ -10,7 +10,7 @@ from grabnet.cli import hydra_entry
 
 @hydra_entry("benchmark")
 def main(cfg: DictConfig) -> None:
-    instantiate(cfg).run()
+    instantiate(cfg, _convert_="all").run()
 
 
 if __name__ == "__main__":

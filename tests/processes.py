@@ -13,34 +13,38 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 FORKS = multiprocessing.get_context("forkserver")
-FORKS.set_forkserver_preload(["grabnet.training_run", "grabnet.sweeps.report", "grabnet.sweeps.pruning"])
+FORKS.set_forkserver_preload(
+    ["grabnet.training_run", "grabnet.sweeps.report", "grabnet.sweeps.pruning", "grabnet.preprocess.pipeline"]
+)
 
 
-def start(arguments: list[str], output: Path, max_file_bytes: int | None = None) -> ForkServerProcess:
-    """Begin `python train.py <arguments>`, all that it prints going to the end of a file.
+def start(
+    arguments: list[str], output: Path, max_file_bytes: int | None = None, script: str = "train.py"
+) -> ForkServerProcess:
+    """Begin `python <script> <arguments>`, all that it prints going to the end of a file.
 
     Args:
         max_file_bytes: at which writing to any file fails, as on a full disk.
     """
-    process = FORKS.Process(target=_command, args=(arguments, output, max_file_bytes))
+    process = FORKS.Process(target=_command, args=(arguments, output, max_file_bytes, script))
     process.start()
     return process
 
 
-def finish(arguments: list[str], output: Path, max_file_bytes: int | None = None) -> int:
-    """The exit code of `python train.py <arguments>`."""
-    process = start(arguments, output, max_file_bytes)
+def finish(arguments: list[str], output: Path, max_file_bytes: int | None = None, script: str = "train.py") -> int:
+    """The exit code of `python <script> <arguments>`."""
+    process = start(arguments, output, max_file_bytes, script)
     process.join()
     assert process.exitcode is not None
     return process.exitcode
 
 
-def _command(arguments: list[str], output: Path, max_file_bytes: int | None) -> None:
+def _command(arguments: list[str], output: Path, max_file_bytes: int | None, script: str) -> None:
     os.chdir(ROOT)
     with output.open("a") as file:
         os.dup2(file.fileno(), sys.stdout.fileno())
         os.dup2(file.fileno(), sys.stderr.fileno())
     if max_file_bytes is not None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (max_file_bytes, max_file_bytes))
-    sys.argv = ["train.py", *arguments]
-    runpy.run_path("train.py", run_name="__main__")
+    sys.argv = [script, *arguments]
+    runpy.run_path(script, run_name="__main__")

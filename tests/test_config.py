@@ -4,7 +4,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import hydra
 import pytest
+from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
 from grabnet.cli import CONFIGS, compose
@@ -65,3 +67,10 @@ def test_values_are_held_against_the_signature(values, sentence):
 def test_good_values_pass():
     node = {"_target_": f"{__name__}.sample_target", "size": 3, "rate": 1, "name": None}
     check(OmegaConf.create({"node": node, "list": [node]}))
+
+
+def test_a_command_may_compose_the_config_of_another():
+    with hydra.initialize_config_dir(str(CONFIGS), version_base="1.3"):
+        running = GlobalHydra.instance().hydra
+        assert compose("train", ["run_dir=x"]).seed == 0
+        assert GlobalHydra.instance().hydra is running

@@ -24,6 +24,7 @@ SUITES = {
     "sample": "grasps of a new mesh",
     "volume": "what hands and an object share, in voxels of 1 mm",
     "contact": "which vertices touch, of a whole body and an object",
+    "preprocess": "from recordings to training frames, and loading these",
     "physics": "whether hands hold an object, simulated",
 }
 

@@ -28,6 +28,7 @@ class GraspBatch:
         distances: (B, V) signed distance of each hand vertex to the object.
         points: (B, P, 3) points on the object near the hand; point_distances: (B, P) their signed distances to it.
         object_set: geometry of the objects.
+        noisy: hands near the true ones, where the store holds such.
     """
 
     objects: Tensor
@@ -39,6 +40,7 @@ class GraspBatch:
     points: Tensor
     point_distances: Tensor
     object_set: ObjectSet
+    noisy: HandParameters | None = None
 
     def __len__(self) -> int:
         return len(self.objects)
@@ -73,6 +75,12 @@ class BatchAssembler(nn.Module):
         hand, rest = frames.hand(), self.v_template[frames.subject]
         return hand, rest, self.hand(hand, rest).vertices
 
+    def measured(self, frames: Frames) -> tuple[Tensor, Tensor]:
+        """Posed vertices (N, V, 3) of the frames and their distances (N, V) to the object, metres."""
+        vertices = self.posed(frames)[2]
+        rotations = axis_angle_to_matrix(frames.object_orient)
+        return vertices, self.object_set.distances(vertices, frames.object, rotations)
+
     @torch.no_grad()
     def forward(self, frames: Frames, targets: Targets, turn: bool) -> GraspBatch:
         """Assemble.
@@ -83,11 +91,13 @@ class BatchAssembler(nn.Module):
             turn: rotate each frame about the vertical by a random angle (training's augmentation).
         """
         hand, rest, vertices = self.posed(frames)
+        noisy = frames.noisy_hand()
         rotations = axis_angle_to_matrix(frames.object_orient)
         if turn:
             about = about_z(torch.rand(len(frames), device=rotations.device) * (2 * torch.pi))
             rotations, vertices = about @ rotations, vertices @ about.mT
             hand = self.hand.moved(hand, about, rest=rest)
+            noisy = None if noisy is None else self.hand.moved(noisy, about, rest=rest)
         samples, near = self.object_set.points, targets.near
         points = samples[frames.object] if near is None else samples[frames.object.unsqueeze(1), near.long()]
         return GraspBatch(
@@ -100,4 +110,5 @@ class BatchAssembler(nn.Module):
             points=points @ rotations.mT,
             point_distances=targets.near_distances.to(vertices.dtype),
             object_set=self.object_set,
+            noisy=noisy,
         )

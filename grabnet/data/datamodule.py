@@ -15,10 +15,9 @@ from grabnet.body.hand import HandModel
 from grabnet.data.batches import BatchAssembler, GraspBatch
 from grabnet.data.frames import Frames, FramesStore
 from grabnet.data.objects import OBJECT_MESHES, ObjectSet
+from grabnet.data.splits import SPLITS, split_of
 from grabnet.data.targets import Targets, compute_targets
 from grabnet.errors import UserError
-
-SPLITS = ("train", "val", "test")
 
 
 class Preparation(Protocol):
@@ -70,7 +69,7 @@ class GraspDataModule(L.LightningDataModule):
             raise UserError(f"data.near_points={near_points} exceeds data.object_points={object_points}.")
         self.hand, self.store_dir = hand, Path(root) / "frames"
         self.objects_dir = Path(objects_dir) if objects_dir else Path(root) / OBJECT_MESHES
-        self.split_objects = {"val": set(val_objects), "test": set(test_objects)}
+        self.val_objects, self.test_objects = set(val_objects), set(test_objects)
         self.batch_size, self.object_points, self.near_points = batch_size, object_points, near_points
         self.measure, self.contact_distance, self.turn, self.max_frames = measure, contact_distance, turn, max_frames
         self.cache_dir, self.seed, self.prepare = cache_dir, seed, prepare
@@ -111,8 +110,7 @@ class GraspDataModule(L.LightningDataModule):
 
     def objects_of(self, split: str, names: Sequence[str]) -> list[str]:
         """Those of the named objects that are for train, val or test."""
-        held_out = set.union(*self.split_objects.values())
-        return [n for n in names if (n not in held_out if split == "train" else n in self.split_objects[split])]
+        return [name for name in names if split_of(name, self.val_objects, self.test_objects) == split]
 
     def frames(self, split: str) -> Frames:
         """The frames of train, val or test."""

@@ -3,20 +3,23 @@
 On disk:
     <root>/store.json                          what it is made of: names, counts, hashes, provenance
     <root>/subjects.safetensors                v_template (S, V, 3) of each subject's right hand
+    <root>/contact.safetensors                 contact (V,), share of training frames in which each hand vertex touches
     <root>/shards/<subject>/<sequence>.safetensors   one per sequence: the unit of parallel work and of resuming
+
+The same frames give the same bytes, whenever and wherever they are written.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save, save_file
 from torch import Tensor
 
 from grabnet.body.hand import HandParameters
@@ -24,10 +27,12 @@ from grabnet.errors import UserError
 from grabnet.files import existing, replacing, write_json
 from grabnet.geometry.rotations import axis_angle_to_matrix
 
-FORMAT = 1
+FORMAT = 2
 
 # Per-frame values of a shard and their widths; all float32 but the frame number.
 _VALUES = {"global_orient": 3, "hand_pose": 45, "transl": 3, "object_orient": 3}
+# Only in stores that hold another, noisy hand for each frame: its global_orient, hand_pose and transl.
+_NOISY = {"noisy": 51}
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,7 @@ class Frames:
         object_orient: (N, 3) axis-angle of the rotation that takes the object's frame to the world's.
         frame: (N,) int64 frame number in the sequence.
         subject, object, sequence: (N,) int64, into the store's names.
+        noisy: (N, 51) global_orient, hand_pose and transl of a hand near the true one, where the store has such.
     """
 
     global_orient: Tensor
@@ -49,25 +55,35 @@ class Frames:
     subject: Tensor
     object: Tensor
     sequence: Tensor
+    noisy: Tensor | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
 
     def select(self, index: Tensor) -> Frames:
         """The frames at `index` (indices or a mask)."""
-        return Frames(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+        return self._each(lambda values: values[index])
 
     def to(self, device: torch.device | str) -> Frames:
         """The same frames on `device`."""
-        return Frames(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
+        return self._each(lambda values: values.to(device))
 
     def hand(self) -> HandParameters:
         """The frames' hands as rotation matrices."""
-        return HandParameters(
-            axis_angle_to_matrix(self.global_orient),
-            axis_angle_to_matrix(self.hand_pose.unflatten(1, (15, 3))),
-            self.transl,
-        )
+        return _parameters(self.global_orient, self.hand_pose, self.transl)
+
+    def noisy_hand(self) -> HandParameters | None:
+        """The noisy hands, where there are any."""
+        return None if self.noisy is None else _parameters(*self.noisy.split((3, 45, 3), 1))
+
+    def _each(self, change: Callable[[Tensor], Tensor]) -> Frames:
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return Frames(**{name: v if v is None else change(v) for name, v in values.items()})
+
+
+def _parameters(global_orient: Tensor, hand_pose: Tensor, transl: Tensor) -> HandParameters:
+    fingers = axis_angle_to_matrix(hand_pose.unflatten(1, (15, 3)))
+    return HandParameters(axis_angle_to_matrix(global_orient), fingers, transl)
 
 
 @dataclass(frozen=True)
@@ -101,24 +117,45 @@ class FramesStore:
             raise UserError(f"{root} is a frames store of format {card.get('format')}; this code reads {FORMAT}.")
         v_template = load_file(root / "subjects.safetensors")["v_template"]
         subjects, objects, sequences = card["subjects"], card["objects"], card["sequences"]
-        shards = [_read_shard(root / "shards" / f"{sequence}.safetensors") for sequence in sequences]
-        columns = {name: torch.cat([values[name] for _, values in shards]) for name in (*_VALUES, "frame")}
-        lengths = torch.tensor([len(values["frame"]) for _, values in shards])
+        return cls(subjects, objects, sequences, v_template, read_frames(root, subjects, objects, sequences), card)
 
-        def per_frame(values: list[int]) -> Tensor:
-            return torch.tensor(values).repeat_interleave(lengths)
 
-        frames = Frames(
-            **columns,
-            subject=per_frame([subjects.index(header["subject"]) for header, _ in shards]),
-            object=per_frame([objects.index(header["object"]) for header, _ in shards]),
-            sequence=per_frame(list(range(len(shards)))),
-        )
-        return cls(subjects, objects, sequences, v_template, frames, card)
+def read_frames(root: str | Path, subjects: list[str], objects: list[str], sequences: list[str]) -> Frames:
+    """The frames of a store's shards, numbered by these names.
+
+    Raises:
+        UserError: a damaged shard.
+    """
+    shards = [_read_shard(shard_path(root, sequence)) for sequence in sequences]
+    noisy = all("noisy" in values for _, values in shards)
+    columns = {name: torch.cat([values[name] for _, values in shards]) for name in (*_VALUES, "frame")}
+    lengths = torch.tensor([len(values["frame"]) for _, values in shards])
+
+    def per_frame(values: list[int]) -> Tensor:
+        return torch.tensor(values).repeat_interleave(lengths)
+
+    return Frames(
+        **columns,
+        subject=per_frame([subjects.index(header["subject"]) for header, _ in shards]),
+        object=per_frame([objects.index(header["object"]) for header, _ in shards]),
+        sequence=per_frame(list(range(len(shards)))),
+        noisy=torch.cat([values["noisy"] for _, values in shards]) if noisy else None,
+    )
+
+
+def shard_path(root: str | Path, sequence: str) -> Path:
+    """Where the shard of a sequence lies, or would."""
+    return Path(root) / "shards" / f"{sequence}.safetensors"
+
+
+def shard_names(root: str | Path) -> list[str]:
+    """Sequences that have a shard, in order."""
+    shards = Path(root) / "shards"
+    return sorted(str(p.relative_to(shards).with_suffix("")) for p in shards.rglob("[!.]*.safetensors"))
 
 
 def write_shard(
-    root: str | Path, sequence: str, subject: str, object_name: str, values: dict[str, Tensor], **header: str
+    root: str | Path, sequence: str, subject: str, object_name: str, values: dict[str, Tensor], **header: Any
 ) -> None:
     """Write one sequence's frames atomically.
 
@@ -126,20 +163,37 @@ def write_shard(
         root: of the store.
         sequence: its name, `<subject>/<object>_<action>_<k>`.
         subject, object_name: whom and what it shows.
-        values: `global_orient`, `hand_pose`, `transl`, `object_orient` and `frame`, as in `Frames`.
-        header: further facts, for example `intent`.
+        values: `global_orient`, `hand_pose`, `transl`, `object_orient` and `frame`, as in `Frames`; `noisy`, too, if
+            every shard of the store has it.
+        header: further facts that JSON can say, for example `intent`.
     """
-    tensors = {name: values[name].to(torch.float32).contiguous() for name in _VALUES}
+    widths = _VALUES | (_NOISY if "noisy" in values else {})
+    tensors = {name: values[name].to(torch.float32).contiguous() for name in widths}
     tensors["frame"] = values["frame"].to(torch.int32).contiguous()
-    for name, width in _VALUES.items():
+    for name, width in widths.items():
         if tensors[name].shape != (len(tensors["frame"]), width):
             raise ValueError(f"{sequence}: {name} has shape {tuple(tensors[name].shape)}, expected (N, {width})")
-    with replacing(Path(root) / "shards" / f"{sequence}.safetensors") as temporary:
-        save_file(tensors, temporary, {"subject": subject, "object": object_name, **header})
+    # In one value: safetensors writes several in an order that changes from process to process.
+    facts = json.dumps({"subject": subject, "object": object_name, **header})
+    with replacing(shard_path(root, sequence)) as temporary:
+        temporary.write_bytes(save(tensors, {"header": facts}))  # a full disk raises OSError, unlike with save_file
+
+
+def read_header(path: str | Path) -> dict[str, Any]:
+    """What `write_shard` was told of a sequence besides its frames.
+
+    Raises:
+        UserError: a damaged or missing shard, or one of another format.
+    """
+    return _open_shard(Path(path), lambda file: None)[0]
 
 
 def finish_store(
-    root: str | Path, v_template: dict[str, Tensor], objects: Iterable[str], provenance: dict[str, Any]
+    root: str | Path,
+    v_template: dict[str, Tensor],
+    objects: Iterable[str],
+    provenance: dict[str, Any],
+    contact: Tensor | None = None,
 ) -> None:
     """Make a store of the shards under `root`: subjects' hands, names, counts; written last, so that it means done.
 
@@ -148,22 +202,37 @@ def finish_store(
         v_template: (V, 3) rest right hand of each subject, by name.
         objects: names of all objects.
         provenance: JSON-able record of what the frames were made from and how.
+        contact: (V,) share of training frames in which each hand vertex touches.
     """
     root = Path(root)
-    shards = root / "shards"
-    sequences = sorted(str(p.relative_to(shards).with_suffix("")) for p in shards.rglob("[!.]*.safetensors"))
     with replacing(root / "subjects.safetensors") as temporary:
         save_file({"v_template": torch.stack(list(v_template.values()))}, temporary)
-    card = {"format": FORMAT, "subjects": list(v_template), "objects": sorted(objects), "sequences": sequences}
-    write_json(root / "store.json", card | {"provenance": provenance})
+    if contact is not None:
+        with replacing(root / "contact.safetensors") as temporary:
+            save_file({"contact": contact}, temporary)
+    names = {"subjects": list(v_template), "objects": sorted(objects), "sequences": shard_names(root)}
+    write_json(root / "store.json", {"format": FORMAT} | names | {"provenance": provenance})
 
 
-def _read_shard(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
+def is_made_by(root: str | Path, recipe: dict[str, Any]) -> bool:
+    """Whether a finished store is there whose provenance names this recipe."""
+    card = Path(root) / "store.json"
+    if not card.exists():
+        return False
+    said = json.loads(card.read_text())
+    return said.get("format") == FORMAT and said["provenance"].get("recipe") == recipe
+
+
+def _read_shard(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    header, values = _open_shard(path, lambda file: {name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118
+    return header, values | {"frame": values["frame"].long()}
+
+
+def _open_shard(path: Path, read: Callable[[Any], Any]) -> tuple[dict[str, Any], Any]:
     try:
         with safe_open(path, "pt") as file:
-            values = {name: file.get_tensor(name) for name in (*_VALUES, "frame")}
-            return file.metadata(), values | {"frame": values["frame"].long()}
-    except (SafetensorError, OSError) as error:
+            return json.loads(file.metadata()["header"]), read(file)
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
         raise UserError(
             f"Shard {path} is damaged or missing ({error}); delete it and run the preprocessing again."
         ) from None

@@ -6,6 +6,7 @@ import torch
 
 from grabnet.body.hand import HandParameters
 from grabnet.data.batches import GraspBatch
+from grabnet.errors import UserError
 from grabnet.geometry.rotations import axis_angle_to_matrix
 
 
@@ -28,6 +29,23 @@ class PoseNoise:
             hand.hand_pose @ _random_turn(hand.hand_pose, self.finger),
             hand.transl + self.transl * torch.randn_like(hand.transl),
         )
+
+
+class StoredNoise:
+    """The noisy hands that a store holds beside the true ones, as the published data do."""
+
+    def __call__(self, batch: GraspBatch) -> HandParameters:
+        """A batch's noisy hands.
+
+        Raises:
+            UserError: the store holds none.
+        """
+        if batch.noisy is None:
+            raise UserError(
+                "The frames store holds no noisy hands to start from: use data=grabnet_release data.prepare.noisy=true, "
+                "or source@model.source=noise."
+            )
+        return batch.noisy
 
 
 def _random_turn(rotations: torch.Tensor, deviation: float) -> torch.Tensor:

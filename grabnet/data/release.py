@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -14,8 +14,8 @@ from rich.progress import track
 from torch import Tensor
 
 from grabnet.body.hand import HandModel, HandParameters
-from grabnet.data.datamodule import SPLITS
-from grabnet.data.frames import finish_store, write_shard
+from grabnet.data.splits import SPLITS
+from grabnet.data.frames import finish_store, is_made_by, write_shard
 from grabnet.data.objects import object_files
 from grabnet.errors import UserError
 from grabnet.files import existing, sha256
@@ -25,34 +25,32 @@ from grabnet.geometry.rotations import matrix_to_axis_angle
 from grabnet.npz import npz_rows, read_npy, read_npz
 from grabnet.provenance import provenance
 
+log = logging.getLogger(__name__)
+
 # Frames read at a time from the arrays of vertices, which take tens of gigabytes.
 _ROWS = 512
 # Metres that stored vertices may lie off the hands that we make of the same parameters, or off the objects' meshes, on
 # average: further, and model, meshes or conventions are others.
 _TOLERANCE = 0.001
-_SHAPES = {
-    "global_orient_rhand_rotmat": (3, 3),
-    "fpose_rhand_rotmat": (15, 3, 3),
-    "trans_rhand": (3,),
-    "root_orient_obj_rotmat": (3, 3),
-    "trans_obj": (3,),
-}
+_HAND = {"global_orient_rhand_rotmat": (3, 3), "fpose_rhand_rotmat": (15, 3, 3), "trans_rhand": (3,)}
+_OBJECT = {"root_orient_obj_rotmat": (3, 3), "trans_obj": (3,)}
+# Ends the names of the noisy hands' arrays.
+_NOISY = "_f"
 
 
 class GrabnetRelease:
     """Writes the frames store of the published data when called, unless it is there.
-
-    The noisy hands that the files hold are not taken over: RefineNet's are made anew for each batch.
 
     Args:
         release: folder with the published `data` in it, or that folder itself.
         root: of the data set to write: the store is its folder `frames`.
         objects_dir: folder with a mesh for each object, such as GRAB's contact meshes.
         hand: the right hand that the data were made with, MANO's.
+        noisy: keep the noisy hands, too, which RefineNet may start from (`StoredNoise`).
     """
 
-    def __init__(self, release: str, root: str, objects_dir: str, hand: HandModel):
-        self.release, self.root, self.hand = Path(release), Path(root), hand
+    def __init__(self, release: str, root: str, objects_dir: str, hand: HandModel, noisy: bool):
+        self.release, self.root, self.hand, self.noisy = Path(release), Path(root), hand, noisy
         self.meshes = object_files(objects_dir)
         self._mesh: Callable[[str], Mesh] = cache(lambda name: load_mesh(self.meshes[name]))
 
@@ -68,59 +66,67 @@ class GrabnetRelease:
         recipe = {
             "frames": {split: len(frames) for split, frames in names.items()},
             "hand_sha256": sha256(self.hand.v_template.numpy()),
+            "noisy": self.noisy,
         }
-        card = self.root / "frames" / "store.json"
-        if card.exists() and json.loads(card.read_text())["provenance"].get("recipe") == recipe:
+        if is_made_by(self.root / "frames", recipe):
             return
         subjects = read_subjects(folder / "sbj_info.npy", len(self.hand.v_template))
         checks = {split: self._convert(folder / split, frames, subjects) for split, frames in names.items()}
+        for split, hands in checks.items():
+            for name, off in hands.items():
+                log.info("%s hands of %s come out %.4f mm off on average, %.4f at most.", name, split, *off.values())
         objects = {frame.object for frames in names.values() for frame in frames}
         facts = provenance(source="published GrabNet data", recipe=recipe, hand_vertices_mm=checks)
         finish_store(self.root / "frames", subjects, objects, facts)
 
-    def _convert(self, folder: Path, names: list[FrameName], subjects: dict[str, Tensor]) -> dict[str, float]:
-        """Write the shards of a split; how far its hand vertices lie from ours."""
+    def _convert(
+        self, folder: Path, names: list[FrameName], subjects: dict[str, Tensor]
+    ) -> dict[str, dict[str, float]]:
+        """Write the shards of a split; how far its hands' vertices lie from ours."""
         path = folder / f"grabnet_{folder.name}.npz"
         for what, there, known in (("subjects", {n.subject for n in names}, subjects),
                                    ("objects", {n.object for n in names}, self.meshes)):  # fmt: skip
             if unknown := sorted(there - known.keys()):
                 raise UserError(f"{path} shows {what} that are not known: {', '.join(unknown)}; there are {[*known]}.")
-        values = {name: _parameters(path, name, shape, len(names)) for name, shape in _SHAPES.items()}
-        hand = HandParameters(*(values[n] for n in ("global_orient_rhand_rotmat", "fpose_rhand_rotmat", "trans_rhand")))
-        check = self._compare_hands(path, names, hand, subjects)
-        rotations = self._object_rotations(path, names, values["root_orient_obj_rotmat"], values["trans_obj"])
+        kinds = {"true": ""} | ({"noisy": _NOISY} if self.noisy else {})
+        hands, checks = {}, {}
+        for kind, ending in kinds.items():
+            arrays = (_parameters(path, name + ending, shape, len(names)) for name, shape in _HAND.items())
+            hands[kind] = HandParameters(*arrays)
+            checks[kind] = self._compare_hands(path, "verts_rhand" + ending, names, hands[kind], subjects)
+        turns, places = (_parameters(path, name, shape, len(names)) for name, shape in _OBJECT.items())
+        rotations = self._object_rotations(path, names, turns, places)
         rows_of: dict[str, list[int]] = {}
         for row in sorted(range(len(names)), key=lambda row: names[row].frame):
             rows_of.setdefault(names[row].sequence, []).append(row)
         for sequence, rows in track(rows_of.items(), f"Writing {folder.name}", transient=True):
             first = names[rows[0]]
-            origin = rotations[rows] @ torch.tensor(self._mesh(first.object).centroid) + values["trans_obj"][rows]
-            shard = {
-                "global_orient": matrix_to_axis_angle(hand.global_orient[rows]),
-                "hand_pose": matrix_to_axis_angle(hand.hand_pose[rows]).flatten(1),
-                "transl": hand.transl[rows] - origin,
+            origin = rotations[rows] @ torch.tensor(self._mesh(first.object).centroid) + places[rows]
+            shard = _about(hands["true"].select(rows), origin) | {
                 "object_orient": matrix_to_axis_angle(rotations[rows]),
                 "frame": torch.tensor([names[row].frame for row in rows]),
             }
+            if self.noisy:
+                shard["noisy"] = torch.cat([*_about(hands["noisy"].select(rows), origin).values()], 1)
             write_shard(self.root / "frames", sequence, first.subject, first.object, shard, intent=first.action)
-        return check
+        return checks
 
     def _compare_hands(
-        self, path: Path, names: list[FrameName], hand: HandParameters, subjects: dict[str, Tensor]
+        self, path: Path, array: str, names: list[FrameName], hand: HandParameters, subjects: dict[str, Tensor]
     ) -> dict[str, float]:
-        """Mean and largest distance of stored hand vertices to those of our model, millimetres."""
+        """Mean and largest distance of an array's hand vertices to those of our model, millimetres."""
         v_template, number = torch.stack([*subjects.values()]), {name: k for k, name in enumerate(subjects)}
         total, largest, start = 0.0, 0.0, 0
-        for stored in npz_rows(path, "verts_rhand", _ROWS):
+        for stored in npz_rows(path, array, _ROWS):
             part = slice(start, start + len(stored))
             rest = v_template[[number[name.subject] for name in names[part]]]
             if stored.shape[1:] != rest.shape[1:] or len(rest) < len(stored):
-                raise UserError(f"{path}: verts_rhand has rows {stored.shape}, expected {tuple(rest.shape)}.")
+                raise UserError(f"{path}: {array} has rows {stored.shape}, expected {tuple(rest.shape)}.")
             apart = (self.hand(hand.select(part), rest).vertices - torch.tensor(stored)).norm(dim=-1)
             total, largest, start = total + apart.mean(1).sum().item(), max(largest, apart.max().item()), part.stop
         if not total / len(names) < _TOLERANCE:
             raise UserError(
-                f"{path}: hands made of its poses lie {1e3 * total / len(names):.1f} mm off the stored ones: pass the "
+                f"{path}: hands made of its poses lie {1e3 * total / len(names):.1f} mm off its {array}: pass the "
                 f"model that they were made with, hand_model=mano hand_model.path=<MANO_RIGHT.npz>."
             )
         return {"mean": 1e3 * total / len(names), "max": 1e3 * largest}
@@ -202,6 +208,15 @@ def read_subjects(path: Path, n_vertices: int) -> dict[str, Tensor]:
             raise UserError(f"{path}: rh_vtemp of {name} has shape {v_template.shape}, expected ({n_vertices}, 3).")
         hands[str(name)] = torch.as_tensor(v_template, dtype=torch.float32)
     return hands
+
+
+def _about(hand: HandParameters, origin: Tensor) -> dict[str, Tensor]:
+    """Hands as a shard has them, about (N, 3) origins."""
+    return {
+        "global_orient": matrix_to_axis_angle(hand.global_orient),
+        "hand_pose": matrix_to_axis_angle(hand.hand_pose).flatten(1),
+        "transl": hand.transl - origin,
+    }
 
 
 def _parameters(path: Path, name: str, shape: tuple[int, ...], n: int) -> Tensor:

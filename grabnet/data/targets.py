@@ -66,9 +66,9 @@ def compute_targets(frames: Frames, assembler: BatchAssembler, n_points: int, ba
     for start in track(range(0, len(frames), batch_size), "Measuring the frames", transient=True):
         part = slice(start, start + batch_size)
         batch = frames.select(torch.arange(len(frames))[part])
-        vertices = assembler.posed(batch)[2]
+        vertices, distances = assembler.measured(batch)
+        targets.distances[part] = distances.half()
         rotations = axis_angle_to_matrix(batch.object_orient)
-        targets.distances[part] = assembler.object_set.distances(vertices, batch.object, rotations).half()
         offset = nearest.signed_offset(points[batch.object] @ rotations.mT, vertices)
         if targets.near is not None:
             chosen = offset.abs().topk(n_points, largest=False, sorted=False).indices.sort().values
@@ -76,3 +76,12 @@ def compute_targets(frames: Frames, assembler: BatchAssembler, n_points: int, ba
             offset = offset.gather(1, chosen)
         targets.near_distances[part] = offset.half()
     return targets
+
+
+@torch.no_grad()
+def contact_share(frames: Frames, assembler: BatchAssembler, distance: float, batch_size: int = 256) -> Tensor:
+    """`Targets.contact` of frames whose other targets are not wanted."""
+    touching = torch.zeros(len(assembler.hand.v_template), dtype=torch.int64)
+    for index in track(torch.arange(len(frames)).split(batch_size), "Measuring contact", transient=True):
+        touching += (assembler.measured(frames.select(index))[1] < distance).sum(0)
+    return touching / len(frames)

@@ -80,8 +80,8 @@ class Material:
     def fingerprint(self) -> list[str]:
         """Of all frames, whom they show and how they are split, of the objects and the hand."""
         frames = [getattr(self.store.frames, name).numpy() for name in self.store.frames.__dataclass_fields__]
-        names = [*self.store.objects, "|", *sorted(self.data.split_objects["val"]), "|"]
-        names += sorted(self.data.split_objects["test"])
+        names = [*self.store.objects, "|", *sorted(self.data.val_objects), "|"]
+        names += sorted(self.data.test_objects)
         meshes = [sha256(self.files[name]) for name in self.store.objects if name in self.files]
         hand = [self.hand.v_template.numpy(), self.hand.weights.numpy()]
         return [sha256(*frames), sha256(self.store.v_template.numpy()), sha256(*hand), *names, *meshes]

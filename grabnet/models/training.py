@@ -12,7 +12,7 @@ from torch.distributions import Normal
 
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.data.batches import GraspBatch
-from grabnet.data.datamodule import SPLITS
+from grabnet.data.splits import SPLITS
 from grabnet.geometry.bps import BPS
 from grabnet.losses.grasp import CoarseNetLoss, RefineNetLoss
 from grabnet.models.coarsenet import CoarseNet

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ import torch
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
-from grabnet.data.frames import finish_store, write_shard
+from grabnet.data.frames import finish_store, is_made_by, write_shard
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.files import sha256
 from grabnet.geometry.mesh import load_mesh
@@ -35,8 +34,7 @@ class OpenDataset:
 
     def __call__(self) -> None:
         recipe = {"grasps_sha256": sha256(OPEN_GRASPS), "tilt": self.tilt, "seed": self.seed}
-        card = self.root / "frames" / "store.json"
-        if card.exists() and json.loads(card.read_text())["provenance"].get("recipe") == recipe:
+        if is_made_by(self.root / "frames", recipe):
             return
         write_objects(self.root)
         grasps = load_open_grasps()

@@ -2,7 +2,8 @@
 
 Tracked bodies reach into objects and stop short of them by millimetres. Where surfaces cut through each other, in
 rings, the object's vertices within the ring are touched (over-shooting); elsewhere what is near enough is
-(under-shooting).
+(under-shooting). Openings of the body, such as the wrist of a hand used alone, are closed by lids: they bound what is
+inside it, but nothing touches them.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from grabnet.geometry import kernels
 from grabnet.geometry.intersections import Crossings, MovingMesh, find_crossings
+from grabnet.geometry.lids import Lids
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.warping import launch
 
@@ -49,23 +51,28 @@ class ContactAnnotator:
     """
 
     def __init__(self, thing: Mesh, rest: np.ndarray, faces: np.ndarray, parts: np.ndarray, distance: float = 0.0045):
-        self.body, self.thing = MovingMesh(rest, faces), MovingMesh(thing.vertices, thing.faces)
+        self._lids = Lids(len(rest), faces)
+        self.body = MovingMesh(self._lids.with_middles(rest), np.concatenate([faces, self._lids.faces]))
+        self.thing = MovingMesh(thing.vertices, thing.faces)
         self.parts, self.distance = np.asarray(parts, np.uint8), distance
-        self.face_parts = np.sort(self.parts[self.body.faces], 1)[:, 1]  # two corners' part, if two agree
+        # Of each face: two corners' part, if two agree; lids are no part.
+        self.face_parts = np.zeros(len(self.body.faces), np.uint8)
+        self.face_parts[: len(faces)] = np.sort(self.parts[faces], 1)[:, 1]
+        self._skin = np.arange(len(self.body.faces)) < len(faces)
         self._around = _Neighbours(len(thing.vertices), self.thing.edges)
 
     def __call__(self, vertices: np.ndarray) -> Contact:
         """Contact of the body at `vertices` (V, 3), metres, in the object's frame."""
-        self.body.move(vertices)
+        self.body.move(self._lids.with_middles(vertices))
         crossings = find_crossings(self.body, self.thing)
         touched = self._enclosed(crossings, self._counting_rings(crossings))
-        cutting = np.unique(self.face_parts[crossings.body_faces])
+        cutting = np.unique(self.face_parts[crossings.body_faces[self._skin[crossings.body_faces]]])
 
         n = len(self.thing.vertices)
         face, position = np.full(n, -1, np.int32), np.zeros((n, 3), np.float32)
         body = np.zeros(len(self.parts), bool)
         if touched.any():
-            face[touched], position[touched] = _closest(self.body, self.thing.vertices[touched])
+            face[touched], position[touched] = self._closest_skin(self.thing.vertices[touched])
             near = self._near_object().nonzero()[0]
             reach, _ = cKDTree(self.thing.vertices[touched]).query(
                 self.body.vertices[near], distance_upper_bound=self.distance
@@ -73,9 +80,9 @@ class ContactAnnotator:
             body[near[reach <= self.distance]] = True
 
         hovering = self._near_body() & ~touched
-        free = ~np.isin(self.face_parts, cutting)
+        free = self._skin & ~np.isin(self.face_parts, cutting)
         face[hovering], position[hovering] = _closest(self.body, self.thing.vertices[hovering], self.distance, free)
-        near = self._near_object() & ~np.isin(self.parts, cutting)
+        near = (self._near_object() & ~np.isin(self.parts, cutting)).nonzero()[0]
         body[near] |= _closest(self.thing, self.body.vertices[near], self.distance)[0] >= 0
 
         found = face >= 0
@@ -86,9 +93,16 @@ class ContactAnnotator:
         labels[found] = self.parts[corner]
         return Contact(labels, np.where(body, self.parts, 0).astype(np.uint8), face, weights)
 
+    def _closest_skin(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Face (N,) and position (N, 3) of the body nearest to each point, lids left out."""
+        face, position = _closest(self.body, points)
+        lid = ~self._skin[face]
+        face[lid], position[lid] = _closest(self.body, points[lid], faces=self._skin)
+        return face, position
+
     def _near_object(self) -> np.ndarray:
         """(V,) body vertices within ε of the object's bounding box."""
-        return self._within(self.body.vertices, *self.thing.bounds)
+        return self._within(self.body.vertices[: len(self.parts)], *self.thing.bounds)
 
     def _near_body(self) -> np.ndarray:
         """Object vertices within ε of the bounding box of those body faces that come near the object."""
@@ -114,14 +128,17 @@ class ContactAnnotator:
         """
         n = crossings.n_rings
         votes = np.zeros((n, 256), int)
-        np.add.at(votes, (crossings.body_face_ring, self.face_parts[crossings.body_faces]), 1)
-        part = votes.argmax(1)
-        counting = np.ones(n, bool)
+        skin = self._skin[crossings.body_faces]
+        np.add.at(votes, (crossings.body_face_ring[skin], self.face_parts[crossings.body_faces[skin]]), 1)
+        part, counting = votes.argmax(1), votes.any(1)  # not those that cut lids alone
         if n < 2:
             return counting
         size, beyond = self._cut_off(crossings)
+        on_skin = counting.copy()
         counting[:] = False
         for ring in np.argsort(-size, kind="stable"):
+            if not on_skin[ring]:
+                continue
             larger = counting.nonzero()[0]
             within = beyond[ring].any() & ~(beyond[ring] & ~beyond[larger]).any(1)
             counting[ring] = not (within | (part[larger] == part[ring])).any()
@@ -138,7 +155,7 @@ class ContactAnnotator:
         edge, ring, along = crossings.edge[own], crossings.ring[own], crossings.along[own]
         uncut = np.ones(len(self.body.edges), bool)
         uncut[edge] = False
-        n_regions, region = _components(len(self.parts), self.body.edges[uncut])
+        n_regions, region = _components(len(self.body.vertices), self.body.edges[uncut])
         n_vertices = np.bincount(region, minlength=n_regions)
         ends = region[self.body.edges[edge]]
         # The bulk of each connected surface is its largest region.

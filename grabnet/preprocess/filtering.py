@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from grabnet.data.sequences import N_PARTS, Sequence
+from grabnet.data.sequences import N_PARTS
+from grabnet.errors import UserError
+from grabnet.preprocess.grasp_track import GraspTrack
 
 # Contact labels (spec 1): of each finger's three phalanges, and of the hand with them.
 RIGHT_FINGERS = {
@@ -18,22 +20,29 @@ RIGHT_FINGERS = {
     "ring": (50, 51, 52),
     "thumb": (53, 54, 55),
 }
-RIGHT_HAND = (22, *range(41, 56))
+PALM = 22
+RIGHT_HAND = (PALM, *range(41, 56))
 LEFT_HAND = (21, *range(26, 41))
 
 
 @dataclass(frozen=True)
 class FrameFilter:
-    """The rules, each with its threshold; the values of `configs/filter/paper.yaml`.
+    """The rules, each with its threshold; the values of `configs/preprocess/filter/paper.yaml`.
 
     Args:
         right_hand: the right hand touches the object.
         left_hand_free: the left hand doesn't.
-        min_lift: metres that the object is above or below where it was in the first frame, at least.
+        min_lift: metres of `height`, up or down, at least.
+        height: "frame0", of the object's origin above where it was in the first frame; or "table", of the object's
+            lowest point above the table.
         thumb: the right thumb touches.
         min_other_fingers: other right fingers that touch, at least.
         min_finger_vertices: object vertices that a finger touches, at least, to count as touching.
         every: n, to use only every n-th frame of a sequence.
+        mirror_left: use the left hand's grasps as well, mirrored; the filter itself sees right hands only.
+
+    Raises:
+        UserError: a value out of range.
     """
 
     right_hand: bool
@@ -43,27 +52,34 @@ class FrameFilter:
     min_other_fingers: int
     min_finger_vertices: int
     every: int
+    height: str
+    mirror_left: bool
 
-    def passed(self, sequence: Sequence) -> dict[str, np.ndarray]:
-        """(T,) bool for each rule, in the order in which they are applied; a rule switched off passes all."""
-        counts = part_counts(sequence.contact.object)
-        height = sequence.object.transl[:, 2]
-        touching = {
-            finger: counts[:, list(parts)].sum(1) >= self.min_finger_vertices for finger, parts in RIGHT_FINGERS.items()
-        }
-        others = sum(touching[finger].astype(int) for finger in RIGHT_FINGERS if finger != "thumb")
+    def __post_init__(self):
+        if self.height not in ("frame0", "table"):
+            raise UserError(f"filter.height is '{self.height}'; it can be frame0 or table.")
+        if self.every < 1:
+            raise UserError(f"filter.every is {self.every}; it must be at least 1.")
+
+    def passed(self, track: GraspTrack, gap: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        """(T,) bool for each rule, in the order in which they are applied; a rule switched off passes all.
+
+        Args:
+            gap: (T,) metres, `gap_to_table`; used where `height` is "table".
+        """
+        counts = part_counts(track.labels)
+        above = track.object.transl[:, 2]
+        lift = gap if self.height == "table" else above - above[0]
+        fingers = touching(counts, self.min_finger_vertices)
+        others = sum(fingers[finger].astype(int) for finger in RIGHT_FINGERS if finger != "thumb")
         return {
-            "every": np.arange(len(sequence)) % self.every == 0,
+            "every": np.arange(len(track)) % self.every == 0,
             "right_hand": (counts[:, list(RIGHT_HAND)].any(1)) | (not self.right_hand),
             "left_hand_free": ~counts[:, list(LEFT_HAND)].any(1) | (not self.left_hand_free),
-            "min_lift": np.abs(height - height[0]) >= self.min_lift,
-            "thumb": touching["thumb"] | (not self.thumb),
+            "min_lift": np.abs(lift) >= self.min_lift,
+            "thumb": fingers["thumb"] | (not self.thumb),
             "min_other_fingers": others >= self.min_other_fingers,
         }
-
-    def keep(self, sequence: Sequence) -> np.ndarray:
-        """(N,) numbers of the frames that pass every rule."""
-        return np.logical_and.reduce(list(self.passed(sequence).values())).nonzero()[0]
 
 
 @dataclass
@@ -76,14 +92,9 @@ class Waterfall:
 
     counts: dict[tuple[str, str, str], Counter[str]] = field(default_factory=dict)
 
-    def add(self, sequence: Sequence, split: str, passed: Mapping[str, np.ndarray]) -> None:
-        """Count one sequence's frames; `passed` is what `FrameFilter.passed` said of it."""
-        counter = self.counts.setdefault((split, sequence.motion_intent, sequence.obj_name), Counter())
-        left = np.ones(len(sequence), bool)
-        counter["in all"] += len(sequence)
-        for rule, mask in passed.items():
-            left = left & mask
-            counter[rule] += int(left.sum())
+    def add(self, split: str, intent: str, thing: str, left: Mapping[str, int]) -> None:
+        """Count one sequence's frames; `left` is what `frames_left` said of it."""
+        self.counts.setdefault((split, intent, thing), Counter()).update(left)
 
     def by(self, *aspects: str) -> dict[tuple[str, ...], dict[str, int]]:
         """Frames left after each rule, in groups.
@@ -93,11 +104,24 @@ class Waterfall:
         """
         position = [("split", "intent", "object").index(aspect) for aspect in aspects]
         groups: dict[tuple[str, ...], Counter[str]] = {}
-        for key, counter in sorted(self.counts.items()):
+        for key, counter in self.counts.items():
             groups.setdefault(tuple(key[i] for i in position), Counter()).update(counter)
-        return {key: dict(counter) for key, counter in groups.items()}
+        return {key: dict(counter) for key, counter in sorted(groups.items())}
+
+
+def frames_left(passed: Mapping[str, np.ndarray]) -> dict[str, int]:
+    """How many frames there are "in all", and how many each rule leaves of those that the rules before it left."""
+    masks = list(passed.values())
+    left = np.logical_and.accumulate(masks).sum(1).tolist()
+    return {"in all": len(masks[0])} | dict(zip(passed, left, strict=True))
+
+
+def touching(counts: np.ndarray, least: int = 1) -> dict[str, np.ndarray]:
+    """(T,) bool for each right finger: whether it touches at least so many vertices of (T, 56) `part_counts`."""
+    return {finger: counts[:, list(parts)].sum(1) >= least for finger, parts in RIGHT_FINGERS.items()}
 
 
 def part_counts(labels: np.ndarray) -> np.ndarray:
     """(T, V) contact labels → (T, 56) vertices with each label, 0 included."""
-    return np.stack([np.bincount(frame, minlength=N_PARTS + 1) for frame in labels])
+    counts = [np.bincount(frame, minlength=N_PARTS + 1) for frame in labels]
+    return np.array(counts, int).reshape(-1, N_PARTS + 1)

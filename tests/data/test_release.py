@@ -9,13 +9,17 @@ from scipy.spatial.transform import Rotation
 
 from grabnet.body.hand import OPEN_HANDS, HandModel
 from grabnet.cli import compose
+from grabnet.data.datamodule import GraspDataModule
 from grabnet.data.frames import FramesStore
+from grabnet.data.noise import StoredNoise
 from grabnet.data.objects import OBJECT_MESHES, object_files
 from grabnet.data.release import GrabnetRelease, read_frame_names
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.npz import read_npz
+from grabnet.training_run import train
+from tests.tiny import tiny_overrides
 
 # (subject, sequence, frame) of each split, not in order.
 FRAMES = {
@@ -38,31 +42,39 @@ def write_release(folder, meshes, by_rows=True):
         wrist, fingers = (Rotation.random(n * k, rng).as_matrix().reshape(n, k, 3, 3) for k in (1, 15))
         object_turn = Rotation.random(n, rng).as_matrix()
         transl, object_transl = rng.normal(0, 0.1, (2, n, 3))
-        points, vertices = np.zeros((n, 2048, 3)), np.zeros((n, 778, 3))
+        points, vertices, noisy_vertices = np.zeros((n, 2048, 3)), np.zeros((n, 778, 3)), np.zeros((n, 778, 3))
+        shake, noisy_transl = (
+            Rotation.from_rotvec(rng.normal(0, 0.1, (16 * n, 3))),
+            transl + rng.normal(0, 0.01, (n, 3)),
+        )
+        noisy = np.concatenate([wrist, fingers], 1) @ shake.as_matrix().reshape(n, 16, 3, 3)
         for k, (subject, take, frame) in enumerate(frames):
             mesh = load_mesh(object_files(meshes)[take.split("_")[0]])
             turn = object_turn[k] if by_rows else object_turn[k].T
             points[k] = mesh.sample_surface(2048, k)[0] @ turn + object_transl[k]
             world = mesh.vertices @ turn + object_transl[k]
-            rotations = torch.tensor(np.concatenate([wrist[k], fingers[k]]), dtype=torch.float32)[None]
-            placed = torch.tensor(transl[k : k + 1], dtype=torch.float32)
-            posed = hand.pose(rotations, placed, subjects[subject])[0][0].numpy()
-            vertices[k] = posed
-            shown[f"{subject}/{take}", frame] = posed - world.mean(0), world - world.mean(0), mesh.vertices
-        noise = rng.normal(size=(n, 778, 3))
+            for posed, joints, place in (
+                (vertices, np.concatenate([wrist[k], fingers[k]]), transl),
+                (noisy_vertices, noisy[k], noisy_transl),
+            ):
+                rotations, placed = torch.tensor(joints[None]).float(), torch.tensor(place[k : k + 1]).float()
+                posed[k] = hand.pose(rotations, placed, subjects[subject])[0][0]
+            centre = world.mean(0)
+            both = (vertices[k] - centre, noisy_vertices[k] - centre)
+            shown[f"{subject}/{take}", frame] = (*both, world - centre, mesh.vertices)
         (folder / "data" / split).mkdir()
         np.savez_compressed(
             folder / "data" / split / f"grabnet_{split}.npz",
             global_orient_rhand_rotmat=wrist.astype(np.float32),
             fpose_rhand_rotmat=fingers.astype(np.float32),
             trans_rhand=transl.astype(np.float32),
-            global_orient_rhand_rotmat_f=wrist,
-            fpose_rhand_rotmat_f=fingers,
-            trans_rhand_f=transl,
+            global_orient_rhand_rotmat_f=noisy[:, :1],
+            fpose_rhand_rotmat_f=noisy[:, 1:],
+            trans_rhand_f=noisy_transl,
             root_orient_obj_rotmat=object_turn.astype(np.float32),
             trans_obj=object_transl.astype(np.float32),
             verts_rhand=vertices.astype(np.float32),
-            verts_rhand_f=(vertices + noise).astype(np.float32),
+            verts_rhand_f=noisy_vertices.astype(np.float32),
             verts_object=points.astype(np.float32),
             bps_object=np.zeros((n, 4096), np.float32),
         )
@@ -76,8 +88,8 @@ def meshes(tiny_dataset):
     return tiny_dataset / OBJECT_MESHES
 
 
-def convert(release, root, meshes, hand=None):
-    GrabnetRelease(str(release), str(root), str(meshes), hand or HandModel.open())()
+def convert(release, root, meshes, hand=None, noisy=True):
+    GrabnetRelease(str(release), str(root), str(meshes), hand or HandModel.open(), noisy)()
     return FramesStore.load(root / "frames")
 
 
@@ -89,14 +101,18 @@ def test_the_store_shows_what_the_release_shows(tmp_path, meshes, by_rows):
     assert len(frames) == len(shown) == 6
     assert store.objects == ["ball", "block", "can", "ring"] and store.subjects == ["s1", "s2"]
     assert [store.frames.frame[k] for k in range(2)] == [10, 30], "in order within a sequence"
-    vertices = hand(frames.hand(), store.v_template[frames.subject]).vertices
+    vertices, noisy = (hand(h, store.v_template[frames.subject]).vertices for h in (frames.hand(), frames.noisy_hand()))
     turns = axis_angle_to_matrix(frames.object_orient)
     for k in range(6):
-        expected_hand, expected_object, mesh = shown[store.sequences[frames.sequence[k]], frames.frame[k].item()]
+        expected_hand, expected_noisy, expected_object, mesh = shown[
+            store.sequences[frames.sequence[k]], frames.frame[k].item()
+        ]
         np.testing.assert_allclose(vertices[k], expected_hand, atol=2e-5)
+        np.testing.assert_allclose(noisy[k], expected_noisy, atol=2e-5)
         np.testing.assert_allclose((mesh - mesh.mean(0)) @ turns[k].numpy().T, expected_object, atol=2e-5)
     check = store.card["provenance"]["hand_vertices_mm"]
-    assert all(0 <= check[split]["mean"] <= check[split]["max"] < 0.01 for split in FRAMES)
+    for off in (check[split][kind] for split in FRAMES for kind in ("true", "noisy")):
+        assert 0 <= off["mean"] <= off["max"] < 0.01
 
 
 def test_it_is_converted_once(tmp_path, meshes):
@@ -106,6 +122,46 @@ def test_it_is_converted_once(tmp_path, meshes):
     stamp = card.stat().st_mtime_ns
     convert(tmp_path / "release/data", tmp_path / "root", meshes)
     assert card.stat().st_mtime_ns == stamp
+
+
+def test_noisy_hands_are_what_refinenet_starts_from(tmp_path, meshes, cache_dir):
+    shown = write_release(tmp_path / "release", meshes)
+    store, hand = convert(tmp_path / "release", tmp_path / "root", meshes), HandModel.open()
+    split = {"val_objects": ["ring"], "test_objects": ["block"], "objects_dir": str(meshes)}
+    data = GraspDataModule(hand, str(tmp_path / "root"), **split, near_points=8, cache_dir=str(cache_dir))
+    data.setup()
+    index = torch.arange(3)
+    still, turned = (data.assemble("train", index, turn) for turn in (False, True))
+    start = hand(StoredNoise()(still), still.rest).vertices
+    frames = data.frames("train")
+    for k in range(3):
+        _, noisy, _, _ = shown[store.sequences[frames.sequence[k]], frames.frame[k].item()]
+        np.testing.assert_allclose(start[k], noisy, atol=2e-5)
+    # Turned with all else.
+    moved = hand(StoredNoise()(turned), turned.rest).vertices
+    torch.testing.assert_close(
+        (moved - turned.vertices).norm(dim=-1), (start - still.vertices).norm(dim=-1), atol=1e-4, rtol=0
+    )
+    overrides = tiny_overrides(tmp_path / "root", tmp_path / "run", cache_dir, "refinenet", "trainer.max_epochs=1")
+    swapped = [o for o in overrides if "_objects" not in o]
+    metrics = train(compose("train", [
+        *swapped, "data.val_objects=[ring]", "data.test_objects=[block]", f"objects.dir={meshes}",
+        "source@model.source=published", "callbacks.grasps=null",
+    ]))  # fmt: skip
+    assert metrics["test/train/v2v"] > 0
+
+
+def test_noisy_hands_may_be_left_out(tmp_path, meshes, cache_dir):
+    write_release(tmp_path / "release", meshes)
+    store = convert(tmp_path / "release", tmp_path / "root", meshes, noisy=False)
+    assert store.frames.noisy is None
+    data = GraspDataModule(
+        HandModel.open(), str(tmp_path / "root"), ["ring"], ["block"], str(meshes), near_points=8,
+        cache_dir=str(cache_dir),
+    )  # fmt: skip
+    data.setup()
+    with pytest.raises(UserError, match="holds no noisy hands"):
+        StoredNoise()(data.assemble("train", torch.arange(2)))
 
 
 def test_another_hand_is_told(tmp_path, meshes):
@@ -141,6 +197,8 @@ def change(path, **arrays):
         ({"fpose_rhand_rotmat": np.zeros((3, 14, 3, 3))}, "fpose_rhand_rotmat is of shape"),
         ({"trans_rhand": np.full((3, 3), np.nan)}, "trans_rhand is of shape .*, or not finite"),
         ({"verts_rhand": np.zeros((3, 700, 3))}, "verts_rhand has rows"),
+        ({"trans_rhand_f": None}, "has no array trans_rhand_f"),
+        ({"verts_rhand_f": np.zeros((3, 778, 3))}, r"lie \d+\.\d mm off its verts_rhand_f"),
     ],
 )
 def test_damaged_arrays_are_told(tmp_path, meshes, arrays, sentence):

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from grabnet.body.hand import HandModel
 from grabnet.body.whole import BodyModel
 from grabnet.geometry.mesh import Mesh
-from grabnet.preprocess.annotation import agreement, annotate
+from grabnet.preprocess.annotation import annotate
+from grabnet.preprocess.statistics import agreement, overlap
 from tests.body.conftest import BODY_PARENTS
 from tests.data.grab import random_sequence
 
@@ -75,6 +76,7 @@ def test_a_recording_is_labelled_by_the_parts_that_touch(body):
 def test_agreement_is_intersection_over_union_of_each_part():
     one = np.array([[41, 41, 41, 0], [55, 0, 0, 0]])
     other = np.array([[41, 41, 0, 41], [0, 0, 0, 22]])
-    assert agreement(one, other) == {22: 0.0, 41: 0.5, 55: 0.0}
-    assert agreement(one, one) == {41: 1.0, 55: 1.0}
-    assert agreement(one * 0, one * 0) == {}
+    assert agreement([overlap(one, other)]) == {22: 0.0, 41: 0.5, 55: 0.0}
+    assert agreement([overlap(one, one)]) == {41: 1.0, 55: 1.0}
+    assert agreement([overlap(one, one), overlap(one, other)]) == {22: 0.0, 41: 5 / 7, 55: 0.5}
+    assert agreement([overlap(one * 0, one * 0)]) == {}

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 
+from grabnet.body.anatomy import Anatomy
+from grabnet.body.hand import HandModel
 from grabnet.geometry.mesh import Mesh
+from grabnet.geometry.queries import MeshQuery
 from grabnet.preprocess.contact import ContactAnnotator, vertex_parts
 
 RADIUS = 0.008
@@ -163,6 +167,63 @@ def test_open_surfaces():
     assert not thing.is_watertight and not body.is_watertight
     contact, _ = annotate(thing, body)
     assert_touched(contact.object, axis_distance(thing.vertices, tip))
+
+
+def pencil(start: float, end: float) -> trimesh.Trimesh:
+    """Along z, thinner than a finger."""
+    solid = fine(trimesh.creation.cylinder(0.003, end - start, sections=16), 0.004)
+    solid.apply_transform(trimesh.transformations.rotation_matrix(0.1, [0, 0, 1]))
+    solid.apply_translation([0.0007, 0.0011, (start + end) / 2])
+    return solid
+
+
+def open_finger(tip) -> trimesh.Trimesh:
+    """A finger cut off 6 cm behind its tip, more or less straight."""
+    body = finger(tip)
+    body.update_faces(body.triangles_center[:, 2] < tip[2] + 0.06)
+    body.remove_unreferenced_vertices()
+    return body
+
+
+def test_what_leaves_a_finger_through_its_opening_touches_only_inside():
+    """A pencil goes in at the tip, along the finger, and out where it is open."""
+    tip = np.array([0.0, 0.0, -0.01])
+    body, thing = open_finger(tip), pencil(-0.03, 0.12)
+    contact, _ = annotate(thing, body)
+    rim = body.vertices[np.unique(body.edges[trimesh.grouping.group_rows(body.edges_sorted, require_count=1)])][:, 2]
+    ragged = (thing.vertices[:, 2] > rim.min() - 1e-3) & (thing.vertices[:, 2] < rim.max() + 1e-3)
+    distance = np.where(thing.vertices[:, 2] > rim.mean(), 1.0, axis_distance(thing.vertices, tip))
+    distance[ragged] = 0  # where exactly the lid is does not matter
+    assert_touched(contact.object, distance)
+    touched = contact.object > 0
+    assert (contact.face[touched] < len(body.faces)).all()
+
+
+def test_what_is_put_into_an_opening_touches_nothing_it_does_not_come_near():
+    """The same pencil reaches in from the other end only, 5 mm away from the wall all around."""
+    body, thing = open_finger(np.array([0.0, 0.0, -0.01])), pencil(0.01, 0.12)
+    contact, _ = annotate(thing, body, distance=0.002)
+    assert not contact.object.any() and not contact.body.any()
+    near, _ = annotate(thing, body, distance=0.0055)
+    assert (near.object > 0).any()
+
+
+def test_a_hand_by_itself_is_open_at_the_wrist_only():
+    """A rod through the palm and out at the wrist: touched from the palm's skin to the wrist and no further."""
+    hand = HandModel.open()
+    anatomy, vertices, faces = Anatomy.of(hand), hand.v_template.numpy(), hand.faces.numpy()
+    rim, palm = vertices[anatomy.wrist_loop].mean(0), vertices[anatomy.pads["palm_mcp"]].mean(0)
+    along = (palm - rim) / np.linalg.norm(palm - rim)
+    rod = fine(trimesh.creation.cylinder(0.002, 0.3, sections=8), 0.004)
+    rod.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], along))
+    rod.apply_translation(rim)
+    touched = ContactAnnotator(Mesh(rod.vertices, rod.faces), vertices, faces, np.full(778, 22))(vertices).object > 0
+    query = MeshQuery(Mesh(vertices, anatomy.capped_faces))
+    inside = (query.signed_distance(torch.tensor(rod.vertices).float()) < 0).numpy()
+    place = (rod.vertices - rim) @ along
+    assert inside[place > 0].any() and not inside[(place > 0.13) | (place < -0.02)].any()
+    clear = np.abs(place) > 0.003  # the two lids need not agree
+    np.testing.assert_array_equal(touched[clear], inside[clear])
 
 
 def test_a_ring_that_runs_out_at_the_rim_still_counts():

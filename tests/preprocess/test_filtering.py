@@ -17,13 +17,13 @@ from grabnet.cli import CONFIGS
 from grabnet.config import check
 from grabnet.data.frames import FramesStore, finish_store, write_shard
 from grabnet.data.sequences import ContactTrack, RigidTrack
-from grabnet.preprocess.filtering import Waterfall
-from grabnet.preprocess.grasp_frames import grasp_frames
+from grabnet.preprocess.filtering import Waterfall, frames_left
+from grabnet.preprocess.grasp_track import GraspTrack
 from tests.data.grab import random_sequence
 
 
 def paper(**changes):
-    config = OmegaConf.load(CONFIGS / "filter" / "paper.yaml")
+    config = OmegaConf.load(CONFIGS / "preprocess/filter/paper.yaml")
     check(config)
     return instantiate(config, **changes)
 
@@ -39,14 +39,19 @@ def sequence(frames):
         transl[row, 2] = height
     made = random_sequence(len(frames), 400)
     contact = ContactTrack(labels, made.contact.body)
-    return replace(made, contact=contact, object=RigidTrack(transl, made.object.global_orient, made.object.mesh))
+    thing = RigidTrack(transl, made.object.global_orient, made.object.mesh)
+    return GraspTrack.right(replace(made, contact=contact, object=thing))
+
+
+def kept(rules, track):
+    return np.logical_and.reduce(list(rules.passed(track).values())).nonzero()[0].tolist()
 
 
 THUMB_AND_INDEX = {53: 20, 54: 30, 41: 50}
 
 
 @pytest.mark.parametrize(
-    ("height", "parts", "kept"),
+    ("height", "parts", "expected"),
     [
         (0.02, THUMB_AND_INDEX, True),
         (-0.02, THUMB_AND_INDEX, True),  # lower than at first
@@ -67,8 +72,8 @@ THUMB_AND_INDEX = {53: 20, 54: 30, 41: 50}
         (0.02, {}, False),
     ],
 )
-def test_frames_of_the_papers_rules(height, parts, kept):
-    assert paper().keep(sequence([(height, parts)])).tolist() == ([1] if kept else [])
+def test_frames_of_the_papers_rules(height, parts, expected):
+    assert kept(paper(), sequence([(height, parts)])) == ([1] if expected else [])
 
 
 @pytest.mark.parametrize(
@@ -84,28 +89,28 @@ def test_frames_of_the_papers_rules(height, parts, kept):
 )
 def test_every_rule_can_be_changed(change, height, parts):
     frames = sequence([(height, parts)])
-    assert 1 not in paper().keep(frames)
-    assert 1 in paper(**change).keep(frames)
+    assert 1 not in kept(paper(), frames)
+    assert 1 in kept(paper(**change), frames)
 
 
 def test_every_nth_frame():
     frames = sequence([(0.02, THUMB_AND_INDEX)] * 9)
-    assert paper(every=4).keep(frames).tolist() == [4, 8]
+    assert kept(paper(every=4), frames) == [4, 8]
 
 
 def test_the_waterfall_counts_what_each_rule_leaves():
     grasp, palm, both = (0.02, THUMB_AND_INDEX), (0.02, {22: 80}), (0.02, THUMB_AND_INDEX | {21: 3})
     first = sequence([grasp, grasp, palm, both, (0.0, THUMB_AND_INDEX)])
-    second = replace(sequence([grasp]), obj_name="apple", motion_intent="lift")
+    second = sequence([grasp])
     waterfall, rules = Waterfall(), paper()
-    waterfall.add(first, "test", rules.passed(first))
-    waterfall.add(first, "test", rules.passed(first))
-    waterfall.add(second, "val", rules.passed(second))
+    waterfall.add("test", "pass", "mug", frames_left(rules.passed(first)))
+    waterfall.add("test", "pass", "mug", frames_left(rules.passed(first)))
+    waterfall.add("val", "lift", "apple", frames_left(rules.passed(second)))
     left = {"in all": 12, "every": 12, "right_hand": 10, "left_hand_free": 8, "min_lift": 6, "thumb": 4}
     assert waterfall.by("object")[("mug",)] == left | {"min_other_fingers": 4}
     assert waterfall.by("split", "intent").keys() == {("test", "pass"), ("val", "lift")}
     assert waterfall.by()[()]["in all"] == 14
-    assert waterfall.by()[()]["min_other_fingers"] == 2 * len(rules.keep(first)) + len(rules.keep(second))
+    assert waterfall.by()[()]["min_other_fingers"] == 2 * len(kept(rules, first)) + len(kept(rules, second))
 
 
 def test_frames_in_the_store_show_the_scene_that_was_recorded(tmp_path):
@@ -115,7 +120,7 @@ def test_frames_in_the_store_show_the_scene_that_was_recorded(tmp_path):
     solid.apply_translation((0.1, -0.2, 0.05))
     centroid = solid.vertices.mean(0)
     frames = np.array([1, 4, 5])
-    write_shard(tmp_path, made.name, "s1", "mug", grasp_frames(made, frames, centroid), intent="pass")
+    write_shard(tmp_path, made.name, "s1", "mug", GraspTrack.right(made).frames(frames, centroid), intent="pass")
     finish_store(tmp_path, {"s1": hand.v_template}, ["mug"], {})
     stored = FramesStore.load(tmp_path).frames
     assert stored.frame.tolist() == [1, 4, 5]

@@ -1,0 +1,131 @@
+"""From shards to a data set: subjects, objects, where hands touch, records, and the store's card at last."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from grabnet.body.hand import HandModel
+from grabnet.data.batches import BatchAssembler
+from grabnet.data.frames import finish_store, read_frames
+from grabnet.data.objects import OBJECT_MESHES, ObjectSet
+from grabnet.data.sequences import load_below
+from grabnet.data.splits import MIRRORED, split_of
+from grabnet.data.targets import contact_share
+from grabnet.errors import UserError
+from grabnet.files import replacing
+from grabnet.geometry.mesh import load_mesh, save_mesh
+from grabnet.preprocess.card import Card
+from grabnet.preprocess.grasp_track import mirror_image
+from grabnet.preprocess.recordings import Recordings
+from grabnet.provenance import versions
+
+# Headers of shards (`read_header`) by name.
+Headers = Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Finishing:
+    """Finishes the data set in a folder when called.
+
+    Args:
+        root: the folder. recordings: what its shards are of.
+        val_objects, test_objects: names; every other object is for training.
+        contact_distance: metres within which a hand vertex touches.
+        cache_dir: of signed-distance grids; the user's cache folder when omitted.
+        pictures: draw the waterfall and the hand coloured by its contact.
+    """
+
+    root: Path
+    recordings: Recordings
+    val_objects: Collection[str]
+    test_objects: Collection[str]
+    contact_distance: float
+    cache_dir: str | None
+    pictures: bool
+
+    def __call__(self, headers: Headers, failed: Collection[str], recipe: Mapping[str, Any]) -> None:
+        """Finish.
+
+        Args:
+            headers: of all shards. failed: recordings that gave none. recipe: of the shards.
+
+        Raises:
+            UserError: hand templates that don't fit the model, or differ within a subject.
+        """
+        v_template = self._templates(headers)
+        splits = {name: self._split(name) for name in sorted({header["object"] for header in headers.values()})}
+        hashes = {name: self._place_object(name) for name in splits}
+        contact = self._contact(headers, v_template)
+        facts = {
+            "source": "recordings",
+            "recipe": recipe,
+            "versions": versions(),
+            "objects_sha256": hashes,
+            "split": {"val": list(self.val_objects), "test": list(self.test_objects)},
+        }
+        card = Card(headers, splits, failed, facts)
+        card.write(self.root)
+        if self.pictures:
+            from grabnet.preprocess.pictures import draw_contact, draw_waterfall
+
+            draw_waterfall(card.waterfall, self.root / "waterfall.png")
+            if contact is not None:
+                draw_contact(self._hand, contact, self.root / "contact.png")
+        finish_store(self.root / "frames", v_template, splits, facts, contact)
+
+    @cached_property
+    def _hand(self) -> HandModel:
+        return HandModel(self.recordings.hand("right"))
+
+    def _split(self, name: str) -> str:
+        return split_of(name, self.val_objects, self.test_objects)
+
+    def _templates(self, headers: Headers) -> dict[str, Tensor]:
+        """(V, 3) rest right hand of each subject, by name."""
+        paths: dict[str, str] = {}
+        for name, header in headers.items():
+            path = paths.setdefault(header["subject"], header["template"])
+            if path != header["template"]:
+                raise UserError(f"{name} has its hand from {header['template']}, others of its subject from {path}.")
+        templates = {}
+        for subject, path in sorted(paths.items()):
+            mesh = load_below(self.recordings.folder, path)
+            n, of_model = len(mesh.vertices), len(self._hand.v_template)
+            if n != of_model:
+                raise UserError(f"{self.recordings.folder / path} has {n} vertices, the hand model {of_model}.")
+            templates[subject] = torch.tensor((mirror_image(mesh) if subject.endswith(MIRRORED) else mesh).vertices)
+        return templates
+
+    def _place_object(self, name: str) -> str:
+        """Put an object's mesh, or its mirror image, where training looks for it; its hash."""
+        source = self.recordings.objects[name.removesuffix(MIRRORED)]
+        target = self.root / OBJECT_MESHES / (f"{name}.ply" if name.endswith(MIRRORED) else source.name)
+        if name.endswith(MIRRORED):
+            save_mesh(target, mirror_image(load_mesh(source)))
+        elif target != source:
+            with replacing(target) as temporary:
+                shutil.copyfile(source, temporary)
+        return load_mesh(target).sha256
+
+    def _contact(self, headers: Headers, v_template: dict[str, Tensor]) -> Tensor | None:
+        """(V,) share of training frames in which each hand vertex touches; None where there are none."""
+        kept = [
+            name
+            for name, header in headers.items()
+            if header["counts"]["fingers"]["frames"] and self._split(header["object"]) == "train"
+        ]
+        if not kept:
+            return None
+        objects = sorted({headers[name]["object"] for name in kept})
+        object_set = ObjectSet.load(self.root / OBJECT_MESHES, objects, cache_dir=self.cache_dir)
+        assembler = BatchAssembler(self._hand, torch.stack(list(v_template.values())), object_set)
+        frames = read_frames(self.root / "frames", list(v_template), objects, kept)
+        return contact_share(frames, assembler, self.contact_distance)

@@ -1,0 +1,100 @@
+"""A recording as its right hand has it, or as its left hand has it in a mirror: then too a right hand's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from grabnet.data.sequences import N_PARTS, HandTrack, RigidTrack, Sequence
+from grabnet.data.splits import MIRRORED
+from grabnet.geometry.mesh import Mesh
+
+# Contact labels (spec 1) of the parts that come in pairs, left and right: joints of SMPL-X, counted from one.
+_LEFT = (2, 5, 8, 11, 14, 17, 19, 21, 24, *range(26, 41))
+_RIGHT = (3, 6, 9, 12, 15, 18, 20, 22, 25, *range(41, 56))
+_OPPOSITE = np.arange(N_PARTS + 1, dtype=np.uint8)
+_OPPOSITE[[*_LEFT, *_RIGHT]] = [*_RIGHT, *_LEFT]
+# The mirror is the plane x = 0. Axes of rotation are reversed by it where vectors are not.
+_FLIP = np.array([-1, 1, 1], np.float32)
+
+
+@dataclass(frozen=True)
+class GraspTrack:
+    """A right hand, an object and what touches it, frame by frame.
+
+    Attributes:
+        name, subject, object_name, intent: of the recording; mirrored ones end in `MIRRORED`.
+        hand: the right hand's motion. object: the object's.
+        labels: (T, V of the object) uint8, the part that touches each vertex, 0 for none.
+    """
+
+    name: str
+    subject: str
+    object_name: str
+    intent: str
+    hand: HandTrack
+    object: RigidTrack
+    labels: np.ndarray
+
+    @classmethod
+    def right(cls, sequence: Sequence) -> GraspTrack:
+        """What the right hand does."""
+        return cls(
+            sequence.name, sequence.sbj_id, sequence.obj_name, sequence.motion_intent, sequence.rhand, sequence.object,
+            sequence.contact.object,
+        )  # fmt: skip
+
+    @classmethod
+    def left_mirrored(cls, sequence: Sequence) -> GraspTrack:
+        """What the left hand does, seen in a mirror that stands upright: a right hand of the mirrored subject.
+
+        The hand's template is the left one's mirror image, and the object another one, the mirror image of the mesh.
+        """
+        hand, thing = sequence.lhand, sequence.object
+        return cls(
+            sequence.name + MIRRORED,
+            sequence.sbj_id + MIRRORED,
+            sequence.obj_name + MIRRORED,
+            sequence.motion_intent,
+            replace(
+                hand,
+                global_orient=-_FLIP * hand.global_orient,
+                fullpose=(-_FLIP * hand.fullpose.reshape(-1, 15, 3)).reshape(-1, 45),
+                transl=_FLIP * hand.transl,
+            ),
+            replace(thing, global_orient=-_FLIP * thing.global_orient, transl=_FLIP * thing.transl),
+            _OPPOSITE[sequence.contact.object],
+        )
+
+    @property
+    def is_mirrored(self) -> bool:
+        return self.name.endswith(MIRRORED)
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def frames(self, chosen: np.ndarray, centroid: np.ndarray) -> dict[str, Tensor]:
+        """Hand and object in chosen frames about the object's centroid, heading kept (spec 3), for `write_shard`.
+
+        Args:
+            chosen: (N,) frame numbers.
+            centroid: (3,) of the recorded object's mesh, in its own frame.
+        """
+        hand, thing = self.hand, self.object
+        centroid = _FLIP * centroid if self.is_mirrored else centroid
+        origin = thing.to_world(torch.as_tensor(centroid, dtype=torch.float32).view(1, 3), chosen)[:, 0]
+        return {
+            "global_orient": torch.as_tensor(hand.global_orient[chosen]),
+            "hand_pose": torch.as_tensor(hand.fullpose[chosen]),
+            "transl": torch.as_tensor(hand.transl[chosen]) - origin,
+            "object_orient": -torch.as_tensor(thing.global_orient[chosen]),  # the store's acts on column vectors
+            "frame": torch.as_tensor(chosen),
+        }
+
+
+def mirror_image(mesh: Mesh) -> Mesh:
+    """The mesh in the mirror that `GraspTrack.left_mirrored` looks into: its vertices in order, faces outwards."""
+    return Mesh(_FLIP * mesh.vertices, mesh.faces[:, ::-1])

@@ -1,0 +1,26 @@
+"""From recordings to training frames: python scripts/preprocess.py data=open | data=grab grab.root=… models.root=…;
+all values are in configs/preprocess/."""
+
+from __future__ import annotations
+
+import sys
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+
+from grabnet.arguments import quoted
+from grabnet.cli import hydra_entry
+
+PATHS = ("open.root", "grab.root", "models.root", "output", "cache_dir")
+
+
+@hydra_entry("preprocess/preprocess")
+def main(cfg: DictConfig) -> None:
+    from grabnet.preprocess.pipeline import preprocess
+
+    sys.exit(preprocess(instantiate(cfg, _convert_="all")))
+
+
+if __name__ == "__main__":
+    sys.argv[1:] = quoted(sys.argv[1:], PATHS)
+    main()

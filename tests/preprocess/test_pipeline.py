@@ -1,0 +1,294 @@
+"""From recordings to a data set as the command makes it: what is in it, and that only its inputs decide that."""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import json
+import os
+import random
+import shutil
+import signal
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hydra.utils import instantiate
+from safetensors.torch import load_file
+
+from grabnet.body.hand import HandModel
+from grabnet.cli import compose
+from grabnet.data.datamodule import GraspDataModule
+from grabnet.data.frames import FramesStore, shard_names, write_shard
+from grabnet.data.sequences import read_sequence, write_sequence
+from grabnet.errors import UserError
+from grabnet.npz import read_npz
+from grabnet.training_run import train
+from tests.data.test_frames import shard_values
+from tests.preprocess.tiny_grab import (
+    N_FRAMES,
+    RESTING,
+    SEQUENCES,
+    data_set,
+    files_of,
+    grip,
+    lifting,
+    make,
+    overrides,
+)  # fmt: skip
+from tests.processes import finish, start
+from tests.tiny import tiny_overrides
+
+SCRIPT = "scripts/preprocess.py"
+SPLIT = {"val_objects": ["apple"], "test_objects": ["mug"]}
+N_LIFTED = N_FRAMES - RESTING - 1  # frames in which the ball is 5 mm up
+
+
+@pytest.fixture
+def own_grab(grab, tmp_path):
+    """A copy to spoil."""
+    shutil.copytree(grab[0], tmp_path / "grab")
+    return tmp_path / "grab", grab[1]
+
+
+def test_frames_show_what_was_recorded(made):
+    store, hand = FramesStore.load(made / "frames"), HandModel.open()
+    assert store.sequences == sorted(SEQUENCES) and store.subjects == ["s1", "s2"]
+    frames = store.frames
+    assert len(frames) == N_LIFTED * (len(SEQUENCES) - 1)
+    vertices = hand(frames.hand(), store.v_template[frames.subject]).vertices
+    for k in range(len(frames)):
+        recorded, number = lifting(store.sequences[frames.sequence[k]]), frames.frame[k].item()
+        expected = hand(recorded.rhand.parameters(slice(number, number + 1))).vertices[0].numpy()
+        np.testing.assert_allclose(vertices[k], expected - recorded.object.transl[number], atol=1e-5)
+        assert number > RESTING
+
+
+def test_the_likelihood_of_contact_is_that_of_training_frames(made, grab, cache_dir):
+    """Of a ball it is known without any mesh; and training finds the same."""
+    store, hand = FramesStore.load(made / "frames"), HandModel.open()
+    frames = store.frames.select(torch.tensor([n == "ball" for n in store.objects])[store.frames.object])
+    vertices = hand(frames.hand(), store.v_template[frames.subject]).vertices
+    expected = (vertices.norm(dim=-1) < grip()[1] + 0.0045).float().mean(0)
+    contact = load_file(made / "frames/contact.safetensors")["contact"]
+    assert expected.max() == 1 and (contact != expected).float().mean() < 0.01  # facets lie inside the ball
+    data = GraspDataModule(hand, str(made), **SPLIT, near_points=8, cache_dir=str(cache_dir))
+    data.setup()
+    torch.testing.assert_close(data.contact, contact, atol=1e-6, rtol=0)
+
+
+def test_the_card_counts_and_the_waterfall_adds_up(made):
+    card = json.loads((made / "card.json").read_text())
+    assert card["sequences"] == {"read": 7, "mirrored": 0, "without_frames": 1, "failed": []}
+    frames = card["frames"]
+    assert frames["in_all"] == 6 * N_LIFTED
+    assert frames["by_split"] == {"test": N_LIFTED, "train": 4 * N_LIFTED, "val": N_LIFTED}
+    assert frames["by_intent"] == {"lift": 3 * N_LIFTED, "look": 0, "pass": N_LIFTED, "use": 2 * N_LIFTED}
+    assert frames["by_subject"] == {"s1": 3 * N_LIFTED, "s2": 3 * N_LIFTED}
+    shares = card["touching_in_frames"]["all frames"]
+    assert (shares["thumb"], shares["index"], shares["ring"]) == (1, 1, 0)
+    assert len(card["inputs_sha256"]) == 7 + 3 + 2 and card["recipe"]["filter"]["min_lift"] == 0.005
+    with (made / "waterfall.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert sum(int(row["in all"]) for row in rows) == 7 * N_FRAMES
+    assert sum(int(row["min_other_fingers"]) for row in rows) == frames["in_all"]
+    taken = [row for row in rows if row["intent"] == "look"]
+    assert [(r["split"], r["right_hand"], r["min_lift"]) for r in taken] == [("train", str(N_FRAMES - RESTING), "0")]
+    text = (made / "card.md").read_text()
+    assert "30 frames of 7 recordings, of which 1 gave none." in text and "| all frames |30|100 %|100 %|0 %" in text
+
+
+def test_pictures_are_drawn(grab, tmp_path, cache_dir):
+    make(grab, tmp_path, cache_dir, "pictures=true")
+    for name in ("waterfall.png", "contact.png"):
+        assert (tmp_path / name).stat().st_size > 10_000
+
+
+def test_training_takes_it(made, tmp_path, cache_dir):
+    values = [o for o in tiny_overrides(made, tmp_path, cache_dir) if "_objects" not in o]
+    more = ("data.batch_size=8", "trainer.max_epochs=1", "callbacks.grasps=null")
+    metrics = train(compose("train", [*values, *more, "data.val_objects=[apple]", "data.test_objects=[mug]"]))
+    assert metrics["test/train/v2v"] > 0
+
+
+def test_three_kills_leave_no_trace(grab, made, tmp_path, cache_dir):
+    output, log = tmp_path / "data", tmp_path / "log.txt"
+    arguments = overrides(*grab, output, cache_dir)
+    done = []
+    for _ in range(3):
+        process = start(arguments, log, script=SCRIPT)
+        goal = len(shard_names(output / "frames")) + random.randint(0, 2)
+        while process.is_alive() and len(shard_names(output / "frames")) < goal:
+            time.sleep(0.001)
+        time.sleep(random.uniform(0, 0.05))
+        process.kill()
+        process.join()
+        assert process.exitcode == -signal.SIGKILL, log.read_text()
+        done.append(len(shard_names(output / "frames")))
+    (output / "frames/shards/s1").mkdir(parents=True, exist_ok=True)
+    (output / "frames/shards/s1/.ball_lift_1-abcd1234.safetensors").write_bytes(b"half")  # had it been killed just then
+    assert finish(arguments, log, script=SCRIPT) == 0, log.read_text()
+    assert data_set(output) == data_set(made)
+    assert json.loads((output / "run.json").read_text())["recordings"] == 7 - done[-1]
+
+
+def spoil(path, change):
+    stored = read_npz(path)
+    change(stored)
+    np.savez(path, **{k: np.array(v, dtype=object) if isinstance(v, dict) else v for k, v in stored.items()})
+
+
+def test_bad_recordings_are_told_and_the_rest_goes_on(own_grab, made, tmp_path, cache_dir):
+    spoilt = {
+        "s1/ball_bad_1": lambda stored: stored["rhand"]["params"]["transl"].__setitem__((3, 1), np.nan),
+        "s1/ball_bad_2": lambda stored: stored.pop("table"),
+        "s1/ball_bad_3": lambda stored: stored.update(obj_name="teapot"),
+        "s2/ball_bad_4": lambda stored: stored["contact"].update(object=np.zeros((N_FRAMES, 99), int)),
+        "s2/ball_bad_5": lambda stored: stored["rhand"].update(vtemp="tools/nobody.ply"),
+    }
+    for name, change in spoilt.items():
+        path = own_grab[0] / "grab" / f"{name}.npz"
+        shutil.copyfile(own_grab[0] / "grab/s1/ball_lift_1.npz", path)
+        spoil(path, change)
+    (own_grab[0] / "grab/s2/ball_bad_6.npz").write_bytes(b"no zip file")
+    log = tmp_path / "log.txt"
+    assert finish(overrides(*own_grab, tmp_path / "data", cache_dir), log, script=SCRIPT) == 1
+    assert "error: 6 recordings failed; why is in" in log.read_text() and "Traceback" not in log.read_text()
+    failures = json.loads((tmp_path / "data/failures.json").read_text())
+    for (name, reason), said in zip(
+        failures.items(),
+        ("rhand transl is not finite in 1 of 10 frames, first in frame 3", "lacks table", "shows 'teapot', an object",
+         "labels 99 vertices of an object that has 2562", "nobody.ply does not exist", "not a readable .npz"),
+        strict=True,
+    ):  # fmt: skip
+        assert name.split("_")[1] == "bad" and said in reason and "\n" not in reason
+    for name, content in files_of(made / "frames").items():
+        if name != "store.json":
+            assert (tmp_path / "data/frames" / name).read_bytes() == content
+    assert (tmp_path / "data/frames/store.json").read_bytes() == (made / "frames/store.json").read_bytes()
+
+
+def test_labels_found_anew_are_compared_with_those_in_the_files(own_grab, made, tmp_path, cache_dir):
+    """The files' are what we find; in one of them every third label is made another part's."""
+    path = own_grab[0] / "grab/s1/ball_lift_1.npz"
+    sequence = read_sequence(path)
+    labels = sequence.contact.object.copy()
+    labels[:, ::3][labels[:, ::3] == 55] = 54
+    write_sequence(path, replace(sequence, contact=replace(sequence.contact, object=labels)))
+    assert make(own_grab, tmp_path / "data", cache_dir, "contact=recompute") == {}
+    frames, expected = (FramesStore.load(folder / "frames").frames for folder in (tmp_path / "data", made))
+    assert torch.equal(frames.transl, expected.transl) and torch.equal(frames.frame, expected.frame)
+    found = np.concatenate([read_sequence(p).contact.object for p in sorted(own_grab[0].glob("grab/*/*.npz"))])
+    changed = (labels != sequence.contact.object).sum()
+    thumb = (found == 55).sum() + changed
+    agreement = json.loads((tmp_path / "data/agreement.json").read_text())
+    assert agreement["object"].pop("54") == 0
+    assert agreement["object"].pop("55") == pytest.approx(1 - changed / thumb) and 0 < changed < thumb / 2
+    assert set(agreement["object"].values()) == {1.0} and set(agreement["body"].values()) == {1.0}
+
+
+def test_height_above_the_table_finds_the_same_lifts(grab, made, tmp_path, cache_dir):
+    assert make(grab, tmp_path, cache_dir, "filter.height=table") == {}
+    frames, expected = (FramesStore.load(folder / "frames").frames for folder in (tmp_path, made))
+    assert torch.equal(frames.frame, expected.frame) and torch.equal(frames.transl, expected.transl)
+
+
+def test_what_the_left_hand_holds_arrives_as_if_the_right_one_held_it(own_grab, made, tmp_path, cache_dir):
+    """A recording is mirrored in its file; the pipeline mirrors it back."""
+    flip, name = np.array([-1, 1, 1], np.float32), "s1/ball_lift_1"
+    right = read_sequence(own_grab[0] / f"grab/{name}.npz")
+    opposite = np.arange(56)
+    opposite[26:41], opposite[41:56] = np.arange(41, 56), np.arange(26, 41)
+
+    def mirrored(track):
+        turned = {"global_orient": -flip * track.global_orient, "transl": flip * track.transl}
+        if hasattr(track, "fullpose"):
+            turned["fullpose"] = (track.fullpose.reshape(-1, 15, 3) * -flip).reshape(-1, 45)
+        return replace(track, **turned)
+
+    left = replace(
+        right, obj_name="ball", object=mirrored(right.object),
+        lhand=replace(mirrored(right.rhand), vtemp=right.lhand.vtemp),
+        contact=replace(right.contact, object=opposite[right.contact.object]),
+    )  # fmt: skip
+    shutil.rmtree(own_grab[0] / "grab")
+    write_sequence(own_grab[0] / f"grab/{name}.npz", left)
+    assert make(own_grab, tmp_path / "data", cache_dir, "filter.mirror_left=true") == {}
+    store, original = FramesStore.load(tmp_path / "data/frames"), FramesStore.load(made / "frames")
+    assert store.sequences == [name, f"{name}_mirrored"] and store.objects == ["ball", "ball_mirrored"]
+    assert store.subjects == ["s1", "s1_mirrored"]
+    expected = original.frames.select(original.frames.sequence == original.sequences.index(name))
+    assert len(store.frames) == len(expected) == N_LIFTED  # the right hand itself does nothing
+    for value in ("global_orient", "hand_pose", "transl", "object_orient", "frame"):
+        torch.testing.assert_close(getattr(store.frames, value), getattr(expected, value), atol=1e-6, rtol=0)
+    torch.testing.assert_close(store.v_template[1], original.v_template[0], atol=1e-6, rtol=0)
+    # What is held out stays held out in the mirror.
+    data = GraspDataModule(HandModel.open(), str(tmp_path / "data"), ["ball"], ["mug"])
+    data.store = store
+    assert len(data._members("val")) == N_LIFTED and not len(data._members("train"))
+
+
+@pytest.mark.parametrize("changed", ["settings", "recording", "removed", "foreign", "at work"])
+def test_a_store_of_something_else_is_not_gone_on_with(changed, own_grab, tmp_path, cache_dir):
+    output, more, sentence = tmp_path / "data", [], ""
+    (own_grab[0] / "grab/s1/apple_lift_1.npz").rename(own_grab[0] / "apple.npz")
+    shutil.rmtree(own_grab[0] / "grab/s2")
+    if changed == "foreign":
+        write_shard(output / "frames", "s1/mug_lift_1", "s1", "mug", shard_values(3, 0))
+        sentence = "holds frames that were not made from recordings"
+    else:
+        make(own_grab, output, cache_dir)
+    path = own_grab[0] / "grab/s1/ball_pass_1.npz"
+    if changed == "settings":
+        more, sentence = ["filter.min_lift=0.01"], r"was begun with filter\.min_lift=0\.005, now it is 0\.01: delete"
+    if changed == "recording":
+        write_sequence(path, lifting("s1/ball_pass_1"))
+        sentence = r"ball_pass_1\.safetensors was made when .*ball_pass_1\.npz was another file: delete the shard"
+    if changed == "removed":
+        path.unlink()
+        sentence = r"ball_pass_1\.safetensors is of a recording that .* does not hold"
+    if changed == "at work":
+        handle = os.open(output / "frames", os.O_RDONLY)
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        sentence = "Another run is at work on"
+    before = files_of(output)
+    with pytest.raises(UserError, match=sentence):
+        make(own_grab, output, cache_dir, *more)
+    assert files_of(output) == before
+    if changed == "at work":
+        os.close(handle)
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        (["data=opne"], "There is no data 'opne'; data can be grab, open."),
+        (["data=grab"], r"data=grab needs grab\.root="),
+        (["backend=dask"], "belong together"),
+        (["scheduler=tcp://10.0.0.1:8786"], "belong together"),
+        (["workers=0"], "workers is 0; it must be at least 1"),
+        (["contact=guess"], "contact is 'guess'; it can be stored or recompute."),
+        (["filter.height=floor"], r"filter\.height is 'floor'; it can be frame0 or table"),
+        (["filter.every=0"], r"filter\.every is 0"),
+        (["fitler.every=2"], "Unknown key 'fitler' in the config; did you mean filter"),
+        (["open.root=/nowhere"], r"/nowhere holds no recordings .*: make them with python scripts/build_open\.py"),
+    ],
+)
+def test_mistakes_are_told_at_once(values, sentence, tmp_path):
+    with pytest.raises(Exception) as caught:  # Hydra wraps what constructors raise
+        instantiate(compose("preprocess/preprocess", [f"output={tmp_path}", *values]), _convert_="all").run()
+    mistake = caught.value if isinstance(caught.value, UserError) else caught.value.__cause__
+    assert isinstance(mistake, UserError)
+    with pytest.raises(UserError, match=sentence):
+        raise mistake
+
+
+def test_missing_models_are_named_where_they_are_needed(grab, tmp_path, cache_dir):
+    (tmp_path / "models").mkdir()
+    shutil.copyfile(grab[1] / "MANO_RIGHT.npz", tmp_path / "models/MANO_RIGHT.npz")
+    here = (grab[0], tmp_path / "models")
+    with pytest.raises(UserError, match="holds neither SMPLX_FEMALE nor smplx/SMPLX_FEMALE"):
+        make(here, tmp_path / "data", cache_dir, "contact=recompute")
+    assert make(here, tmp_path / "data", cache_dir) == {}
