@@ -152,7 +152,7 @@ def test_without_refinenet(call, folder, tmp_path, capsys):
         ({"format": ["glb", "fbx"]}, "glb, ply, npz"),
         ({"betas": [0.0] * 11}, "betas has 11 values"),
         ({"betas": [1, "big"]}, "betas holds 'big'"),
-        ({"runs": "/nowhere"}, "make demo"),
+        ({"coarsenet": "/nowhere"}, "does not exist"),
     ],
 )
 def test_wrong_values_are_told(call, folder, values, said):

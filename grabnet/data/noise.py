@@ -42,8 +42,8 @@ class StoredNoise:
         """
         if batch.noisy is None:
             raise UserError(
-                "The frames store holds no noisy hands to start from: use data=grabnet_release data.prepare.noisy=true, "
-                "or source@model.source=noise."
+                "The frames store holds no noisy hands to start from: use data=grabnet_release "
+                "data.prepare.noisy=true, or source@model.source=noise."
             )
         return batch.noisy
 

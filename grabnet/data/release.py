@@ -14,9 +14,9 @@ from rich.progress import track
 from torch import Tensor
 
 from grabnet.body.hand import HandModel, HandParameters
-from grabnet.data.splits import SPLITS
 from grabnet.data.frames import finish_store, is_made_by, write_shard
 from grabnet.data.objects import object_files
+from grabnet.data.splits import SPLITS
 from grabnet.errors import UserError
 from grabnet.files import existing, sha256
 from grabnet.geometry.mesh import Mesh, load_mesh

@@ -79,7 +79,8 @@ class Material:
     @cached_property
     def fingerprint(self) -> list[str]:
         """Of all frames, whom they show and how they are split, of the objects and the hand."""
-        frames = [getattr(self.store.frames, name).numpy() for name in self.store.frames.__dataclass_fields__]
+        values = (getattr(self.store.frames, name) for name in self.store.frames.__dataclass_fields__)
+        frames = [value.numpy() for value in values if value is not None]
         names = [*self.store.objects, "|", *sorted(self.data.val_objects), "|"]
         names += sorted(self.data.test_objects)
         meshes = [sha256(self.files[name]) for name in self.store.objects if name in self.files]

@@ -104,7 +104,7 @@ def test_supination_is_counted_from_thumb_up(actor):
         # Forearm straight ahead, then the hand turned about it from palm down to thumb up.
         ahead = Rotation.from_rotvec([0, -arm.outward * np.pi / 2, 0])
         for degrees in (0, 90):
-            thumb_up = Rotation.from_rotvec([0, 0, arm.outward * np.radians(degrees)])
+            thumb_up = Rotation.from_rotvec([0, 0, -arm.outward * np.radians(degrees)])
             wrist = Pose((thumb_up * ahead).as_matrix()[None], shoulder + np.array([0, -0.25, 0.24]))
             pose = solve(actor, side, wrist, np.array([0.0]), trunk)
             assert pose.supination[0] == pytest.approx(degrees - 90, abs=40)

@@ -22,7 +22,7 @@ from grabnet.open.sequences.writing import write_table
 from grabnet.preprocess.contact import vertex_parts
 from grabnet.preprocess.filtering import LEFT_HAND, RIGHT_HAND, FrameFilter
 
-PAPER = FrameFilter(True, True, 0.005, True, 1, 50, 1)
+PAPER = FrameFilter(True, True, 0.005, True, 1, 50, 1, "frame0", False)
 ENTRIES = [
     Entry(0, "s7/cylindermedium_lift_1", "s7", "cylindermedium", "lift"),
     Entry(1, "s7/cylindermedium_pass_1", "s7", "cylindermedium", "pass"),
