@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+
 import torch
 from hydra.utils import instantiate
 from torch import Tensor
@@ -48,6 +50,10 @@ class Step:
     def __init__(self, data: GraspDataModule, module: GraspTraining):
         self.data, self.module = data, module
         self.optimizer = module.make_optimizer(module.network.parameters())
+        # Of its own: what the bare step descends soon takes the hands far from the objects, where measuring them takes
+        # another time than in training.
+        self.alone = deepcopy(module.network)
+        self.alone_optimizer = module.make_optimizer(self.alone.parameters())
         self.index = torch.arange(len(data.frames("train")), device=module.hand.v_template.device)
         self.batch = data.assemble("train", self.index, turn=True)
         if isinstance(module, CoarseNetTraining):
@@ -64,26 +70,29 @@ class Step:
         data.prepare_data()
         data.setup()
         module: GraspTraining = instantiate(cfg.model, hand=hand, contact=data.contact)
+        step = cls(data, module.to(settings.device).train())
         if cfg.compile:
             compile_blocks(module.network)
-        return cls(data, module.to(settings.device).train())
+            compile_blocks(step.alone)
+        return step
 
     def full(self) -> None:
         """Batch assembly, basis points, network, hands, all losses, Adam."""
         _, terms = self.module.reconstruct(self.data.assemble("train", self.index, turn=True))
-        self._descend(torch.stack(list(terms.values())).sum())
+        _descend(torch.stack(list(terms.values())).sum(), self.optimizer)
 
     def bare(self) -> None:
         """The network's layers, forward and backward, and Adam."""
-        network, hand = self.module.network, self.batch.hand
+        network, hand = self.alone, self.batch.hand
         if isinstance(self.module, CoarseNetTraining):
             out, posterior = network(self.features, hand.global_orient, hand.transl)
-            return self._descend(out.rotations.sum() + out.transl.sum() + (posterior.mean + posterior.stddev).sum())
+            total = out.rotations.sum() + out.transl.sum() + (posterior.mean + posterior.stddev).sum()
+            return _descend(total, self.alone_optimizer)
         pose, transl = matrix_to_six_d(hand.rotations).flatten(1), hand.transl
         for _ in range(network.iterations):
             pose_change, transl_change = network.correction(self.batch.distances, pose, transl)
             pose, transl = pose + pose_change, transl + transl_change
-        self._descend(pose.sum() + transl.sum())
+        _descend(pose.sum() + transl.sum(), self.alone_optimizer)
 
     def plain(self) -> None:
         """As published: batch and basis points come from disk, all else is compared anew in every step."""
@@ -107,12 +116,13 @@ class Step:
             reached, true = (_signed_distance(points, v, faces) for v in (vertices, batch.vertices))
             total += loss.object_to_hand * object_to_hand_l1(reached, true, PointWeights())
             total += loss.kl * torch.distributions.kl_divergence(posterior, _standard(posterior.mean)).sum(-1).mean()
-        self._descend(total)
+        _descend(total, self.optimizer)
 
-    def _descend(self, loss: Tensor) -> None:
-        self.optimizer.zero_grad()
-        loss.backward()
-        self.optimizer.step()
+
+def _descend(loss: Tensor, optimizer: torch.optim.Optimizer) -> None:
+    optimizer.zero_grad()
+    loss.backward()
+    optimizer.step()
 
 
 def _standard(like: Tensor) -> torch.distributions.Normal:

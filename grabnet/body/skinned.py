@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from grabnet.body.loading import Shapes, read_model
 from grabnet.body.skinning import forward_kinematics, skin, tree_levels
+from grabnet.precision import full_precision
 
 
 class SkinnedModel(nn.Module):
@@ -43,6 +44,7 @@ class SkinnedModel(nn.Module):
         """(..., V, 3) rest vertices → (..., J, 3) joints."""
         return self.J_regressor @ rest
 
+    @full_precision
     def pose(self, rotations: Tensor, transl: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
         """Vertices (B, V, 3) and joints (B, J, 3), metres.
 

@@ -31,19 +31,20 @@ def forward_kinematics(
         rotations (B, J, 3, 3) and positions (B, J, 3). The root stays at its rest position.
     """
     batch = len(rotations)
-    root = levels[0]
+    # Taken apart and put together as wholes: the gradient of indexing is a full tensor for every joint.
+    local = rotations.unbind(1)
     world: list[Tensor | None] = [None] * len(parents)
     position: list[Tensor | None] = [None] * len(parents)
-    for joint in root:
-        world[joint], position[joint] = rotations[:, joint], joints[:, joint].expand(batch, 3)
+    for joint in levels[0]:
+        world[joint], position[joint] = local[joint], joints[:, joint].expand(batch, 3)
     for level in levels[1:]:
         above = [parents[j] for j in level]
         parent_rotation = torch.stack([world[p] for p in above], 1)
         offset = (joints[:, level] - joints[:, above]).unsqueeze(-1)
         at = torch.stack([position[p] for p in above], 1) + (parent_rotation @ offset).squeeze(-1)
-        turned = parent_rotation @ rotations[:, level]
-        for k, joint in enumerate(level):
-            world[joint], position[joint] = turned[:, k], at[:, k]
+        turned = parent_rotation @ torch.stack([local[j] for j in level], 1)
+        for joint, rotation, place in zip(level, turned.unbind(1), at.unbind(1), strict=True):
+            world[joint], position[joint] = rotation, place
     return torch.stack(world, 1), torch.stack(position, 1)
 
 
@@ -69,12 +70,12 @@ def skin(vertices: Tensor, weights: Tensor, rotations: Tensor, translations: Ten
         return posed.unflatten(1, (batch, 3)).transpose(0, 1)
     # Column by column of the transforms, so that no product of all columns with the vertices is ever stored.
     *columns, posed = (
-        (weights @ column.permute(1, 2, 0).reshape(n_joints, 3 * batch)).unflatten(1, (3, batch))  # (V, 3, B)
+        (column.mT.reshape(3 * batch, n_joints) @ weights.mT).unflatten(0, (batch, 3))  # (B, 3, V)
         for column in (*rotations.unbind(-1), translations)
     )
-    for column, coordinate in zip(columns, vertices.permute(1, 2, 0).unbind(1), strict=True):
+    for column, coordinate in zip(columns, vertices.unbind(-1), strict=True):
         posed = torch.addcmul(posed, column, coordinate.unsqueeze(1))
-    return posed.permute(2, 0, 1)
+    return posed.mT.contiguous()
 
 
 def homogeneous(points: Tensor) -> Tensor:

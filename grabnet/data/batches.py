@@ -70,14 +70,9 @@ class BatchAssembler(nn.Module):
         self.object_set = object_set
         self.register_buffer("v_template", v_template, False)
 
-    def posed(self, frames: Frames) -> tuple[HandParameters, Tensor, Tensor]:
-        """True parameters, rest vertices and posed vertices of the frames."""
-        hand, rest = frames.hand(), self.v_template[frames.subject]
-        return hand, rest, self.hand(hand, rest).vertices
-
     def measured(self, frames: Frames) -> tuple[Tensor, Tensor]:
         """Posed vertices (N, V, 3) of the frames and their distances (N, V) to the object, metres."""
-        vertices = self.posed(frames)[2]
+        vertices = self.hand(frames.hand(), self.v_template[frames.subject]).vertices
         rotations = axis_angle_to_matrix(frames.object_orient)
         return vertices, self.object_set.distances(vertices, frames.object, rotations)
 
@@ -90,12 +85,11 @@ class BatchAssembler(nn.Module):
             targets: theirs.
             turn: rotate each frame about the vertical by a random angle (training's augmentation).
         """
-        hand, rest, vertices = self.posed(frames)
-        noisy = frames.noisy_hand()
+        hand, noisy, rest = frames.hand(), frames.noisy_hand(), self.v_template[frames.subject]
         rotations = axis_angle_to_matrix(frames.object_orient)
         if turn:
             about = about_z(torch.rand(len(frames), device=rotations.device) * (2 * torch.pi))
-            rotations, vertices = about @ rotations, vertices @ about.mT
+            rotations = about @ rotations
             hand = self.hand.moved(hand, about, rest=rest)
             noisy = None if noisy is None else self.hand.moved(noisy, about, rest=rest)
         samples, near = self.object_set.points, targets.near
@@ -105,10 +99,10 @@ class BatchAssembler(nn.Module):
             rotations=rotations,
             hand=hand,
             rest=rest,
-            vertices=vertices,
-            distances=targets.distances.to(vertices.dtype),
+            vertices=self.hand(hand, rest).vertices,
+            distances=targets.distances.to(rest.dtype),
             points=points @ rotations.mT,
-            point_distances=targets.near_distances.to(vertices.dtype),
+            point_distances=targets.near_distances.to(rest.dtype),
             object_set=self.object_set,
             noisy=noisy,
         )

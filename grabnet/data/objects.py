@@ -14,6 +14,7 @@ from grabnet.files import existing, sha256
 from grabnet.geometry.atlas import SDFAtlas, SDFGrid
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.geometry.nearest import nearest_point_distance
+from grabnet.precision import full_precision
 
 OBJECT_MESHES = Path("tools/object_meshes/contact_meshes")  # GRAB's own layout, below its root
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf")
@@ -78,6 +79,7 @@ class ObjectSet(nn.Module):
             raise UserError(f"{folder} has no mesh for {', '.join(missing)}; it has {', '.join(files) or 'none'}.")
         return cls(names, [load_mesh(files[name]) for name in names], **options)
 
+    @full_precision
     def distances(self, points: Tensor, objects: Tensor, rotations: Tensor) -> Tensor:
         """Distances (B, N) in metres, as `measure` says.
 

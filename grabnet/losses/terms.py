@@ -15,12 +15,12 @@ def kl_to_standard_normal(posterior: Normal) -> Tensor:
 
 def vertex_l1(vertices: Tensor, true: Tensor, weight: Tensor) -> Tensor:
     """Mean over batch, vertices and coordinates of |Δ| (B, V, 3), weighted per vertex (V,)."""
-    return ((vertices - true).abs() * weight.unsqueeze(-1)).mean()
+    return ((vertices - true).abs().mean(0) * weight.unsqueeze(-1)).mean()
 
 
 def hand_to_object_l1(distances: Tensor, true: Tensor, weight: Tensor) -> Tensor:
     """Mean |Δ| of hand→object distances (B, V), weighted per vertex (V,)."""
-    return ((distances - true).abs() * weight).mean()
+    return ((distances - true).abs().mean(0) * weight).mean()
 
 
 def object_to_hand_l1(distances: Tensor, true: Tensor, weights: PointWeights) -> Tensor:

@@ -13,7 +13,7 @@ from grabnet.body.hand import HandParameters
 from grabnet.errors import UserError
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.rotations import matrix_to_six_d, six_d_to_matrix
-from grabnet.models.layers import BatchNorm, ResidualBlock, concatenate
+from grabnet.models.layers import BatchNorm, Head, ResidualBlock, concatenate
 from grabnet.models.published import COARSENET, PublishedWeights
 
 
@@ -39,14 +39,14 @@ class CoarseNet(nn.Module):
         self.encoder_norm = BatchNorm(n_encoder)
         self.encoder1 = ResidualBlock(n_encoder, width, n_hidden)
         self.encoder2 = ResidualBlock(n_encoder + width, width, n_hidden)
-        self.mean = nn.Linear(width, latent_dim)
-        self.deviation = nn.Linear(width, latent_dim)
+        self.mean = Head(width, latent_dim)
+        self.deviation = Head(width, latent_dim)
 
         self.decoder_norm = BatchNorm(n_bps)
         self.decoder1 = ResidualBlock(n_decoder, width, n_hidden)
         self.decoder2 = ResidualBlock(n_decoder + width, width, n_hidden)
-        self.pose = nn.Linear(width, n_joints * 6)
-        self.transl = nn.Linear(width, 3)
+        self.pose = Head(width, n_joints * 6)
+        self.transl = Head(width, 3)
         # Training starts from about the flat hand. From the layer's own random start most joints begin bent by 90° and
         # more, and many stay in such folds for thousands of steps.
         with torch.no_grad():

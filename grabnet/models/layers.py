@@ -7,6 +7,8 @@ import torch.distributed as dist
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from grabnet.precision import full_precision
+
 
 class ResidualBlock(nn.Module):
     """`LReLU(skip(x) + BN(W2 LReLU(BN(W1 x))))`, where skip is x, or `LReLU(W3 x)` when the sizes differ.
@@ -27,6 +29,14 @@ class ResidualBlock(nn.Module):
         skip = x if self.fc3 is None else F.leaky_relu(self.fc3(x), self.slope)
         y = F.leaky_relu(self.bn1(self.fc1(x)), self.slope)
         return F.leaky_relu(skip + self.bn2(self.fc2(y)), self.slope)
+
+
+class Head(nn.Linear):
+    """A layer whose outputs are angles, lengths or a distribution: exact, whatever the layers before it ran in."""
+
+    @full_precision
+    def forward(self, x: Tensor) -> Tensor:
+        return super().forward(x.to(self.weight.dtype))
 
 
 class BatchNorm(nn.BatchNorm1d):

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.geometry.rotations import matrix_to_six_d, six_d_to_matrix
-from grabnet.models.layers import BatchNorm, ResidualBlock, concatenate
+from grabnet.models.layers import BatchNorm, Head, ResidualBlock, concatenate
 from grabnet.models.published import REFINENET, PublishedWeights
 
 
@@ -38,8 +38,8 @@ class RefineNet(nn.Module):
         self.block2 = ResidualBlock(n_in + width, width, n_hidden)
         self.block3 = ResidualBlock(n_in + width, width, n_hidden)
         self.dropout = nn.Dropout(dropout)
-        self.pose = nn.Linear(width, n_joints * 6)
-        self.transl = nn.Linear(width, 3)
+        self.pose = Head(width, n_joints * 6)
+        self.transl = Head(width, 3)
         # Training starts from about no correction: a random one, made three times, would throw the hand off first.
         with torch.no_grad():
             for layer in (self.pose, self.transl):

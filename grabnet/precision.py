@@ -1,0 +1,24 @@
+"""Keeping lengths and angles exact where a network runs in half precision."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any
+
+import torch
+
+
+def full_precision(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Run a function outside autocast: products of bf16 are off by .4 %, which on a hand is half a millimetre."""
+
+    @functools.wraps(function)
+    def exact(*arguments: Any, **options: Any) -> Any:
+        with ExitStack() as stack:
+            for device in ("cpu", "cuda"):
+                if torch.is_autocast_enabled(device):
+                    stack.enter_context(torch.autocast(device, enabled=False))
+            return function(*arguments, **options)
+
+    return exact
