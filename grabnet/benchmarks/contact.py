@@ -25,11 +25,12 @@ def cases(settings: Benchmark) -> list[Case]:
     annotator = ContactAnnotator(thing, frames[0], faces, parts, EPSILON)
     plain = f"SciPy and trimesh ({len(frames)} frames)"
     return [
-        Case(plain, lambda: [_plain(thing, vertices, faces) for vertices in frames], runs=2),
+        Case(plain, lambda: [_plain(thing, vertices, faces) for vertices in frames], runs=2, frames=len(frames)),
         Case(
             f"annotator ({len(frames)} frames of {len(parts)} × {len(thing.vertices)} vertices)",
             lambda: [annotator(vertices) for vertices in frames],
             (plain,),
+            frames=len(frames),
         ),
     ]
 
