@@ -172,7 +172,7 @@ def write_shard(
     tensors = {name: values[name].to(torch.float32).contiguous() for name in widths}
     if "noisy" in values:
         widths |= _NOISE
-        tensors["noise"] = (values["noisy"] - _true_hand(tensors)).to(torch.float16)
+        tensors["noise"] = _noise(values["noisy"], _true_hand(tensors)).to(torch.float16)
     tensors["frame"] = values["frame"].to(torch.int32).contiguous()
     for name, width in widths.items():
         if tensors[name].shape != (len(tensors["frame"]), width):
@@ -235,6 +235,14 @@ def _read_shard(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
 def _true_hand(values: dict[str, Tensor]) -> Tensor:
     """(N, 51) global_orient, hand_pose and transl side by side."""
     return torch.cat([values["global_orient"], values["hand_pose"], values["transl"]], 1)
+
+
+def _noise(noisy: Tensor, true: Tensor) -> Tensor:
+    """(N, 51) what to add to true hands to have noisy ones; of the two ways to say a rotation the one nearest by."""
+    (turns, place), (near, _) = ((x[:, :48].unflatten(1, (16, 3)), x[:, 48:]) for x in (noisy, true))
+    reverse = turns * (1 - 2 * torch.pi / turns.norm(dim=2, keepdim=True).clamp_min(1e-8))
+    is_nearer = (reverse - near).norm(dim=2, keepdim=True) < (turns - near).norm(dim=2, keepdim=True)
+    return torch.cat([torch.where(is_nearer, reverse, turns).flatten(1), place], 1) - true
 
 
 def _open_shard(path: Path, read: Callable[[Any], Any]) -> tuple[dict[str, Any], Any]:

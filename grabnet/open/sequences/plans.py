@@ -241,7 +241,7 @@ class Scene:
 
     def _room(self) -> np.ndarray:
         """(N, N) whether a left grasp leaves a right one room, and that one can put the object down afterwards."""
-        return (self.holds.apart > _ROOM) & (self.holds.clearance("right", self.rest) > -0.0005)
+        return (self.holds.apart > _ROOM) & self.holds.clears("right", self.rest)
 
     def _hand_over(self, first: Hold, thing: Pose, n: int = 15000, tries: int = 60) -> tuple[Hold, Reach]:
         """A place before the chest, and a grasp of the right hand that leaves the left one room."""

@@ -27,7 +27,8 @@ _PRESSES = np.arange(0, 0.45, 0.02)
 _RELEASES = -np.arange(0, 0.21, 0.01)
 _AWAY = 0.11  # metres from where an approach starts to the grasp
 _STEPS = np.array([0.0, 0.012, 0.03, 0.06, _AWAY])
-_INTO_TABLE = 0.002  # metres that a hand may be in the table while it closes: flesh gives way there too
+# Metres that a hand may be in the table: with a grasp as it was synthesised, and while it presses and closes.
+_ON_TABLE, _INTO_TABLE = 0.0005, 0.002
 
 
 @dataclass(frozen=True)
@@ -120,10 +121,10 @@ class Holds:
     def __len__(self) -> int:
         return len(self.angles)
 
-    def clearance(self, side: str, rest: np.ndarray) -> np.ndarray:
-        """(N,) height of the hands' lowest vertices above the table on which the object lies, turned by `rest`."""
+    def clears(self, side: str, rest: np.ndarray) -> np.ndarray:
+        """(N,) whether each grasp leaves the hand above the table on which the object lies, turned by `rest`."""
         table = (self.prop.vertices @ rest[2]).min()
-        return (self._vertices[side] @ rest[2]).min(1) - table
+        return (self._vertices[side] @ rest[2]).min(1) > table - _ON_TABLE
 
     @cached_property
     def apart(self) -> np.ndarray:

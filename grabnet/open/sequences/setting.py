@@ -120,7 +120,7 @@ def place(
         InfeasibleError: no easy grasp found.
     """
     prop = holds.prop
-    free = (holds.clearance(side, rest) > -0.0005).nonzero()[0]
+    free = holds.clears(side, rest).nonzero()[0]
     free = free if only is None else np.intersect1d(free, only)
     if not len(free):
         raise InfeasibleError("no grasp clears the table")
