@@ -25,7 +25,7 @@ def cases(settings: Benchmark) -> list[Case]:
     thing = meshes()[1]
     frames, faces, parts = _bodies(thing, settings.batch, settings.seed)
     annotator = ContactAnnotator(thing, frames[0], faces, parts, EPSILON)
-    processes = settings.threads or machine_cores()
+    processes = min(settings.threads or machine_cores(), len(frames))
     parallel, shares = Parallel(processes), np.array_split(frames, processes)
     plain, n = f"SciPy and trimesh ({len(frames)} frames)", len(frames)
     of = f"{n} frames of {len(parts)} × {len(thing.vertices)} vertices"

@@ -243,11 +243,10 @@ class Scene:
         """(N, N) whether a left grasp leaves a right one room, and that one can put the object down afterwards."""
         return (self.holds.apart > _ROOM) & self.holds.clears("right", self.rest)
 
-    def _hand_over(self, first: Hold, thing: Pose, n: int = 15000, tries: int = 60) -> tuple[Hold, Reach]:
+    def _hand_over(self, first: Hold, thing: Pose, n: int = 15000, tries: int = 20) -> tuple[Hold, Reach]:
         """A place before the chest, and a grasp of the right hand that leaves the left one room."""
         actor = self.actor
         things = somewhere(self.rng, self.prop, thing.rotation, (-0.15, 0.12, 0.25), (0.15, 0.4, 0.48), 0.7, 1.5, n)
-        grasp = self.rng.integers(len(self.holds), size=n)
         free = self._room()[first.number].nonzero()[0]
         grasp = self.rng.choice(free, n)
         right = self.holds.wrist["right"]
@@ -259,9 +258,13 @@ class Scene:
         total += 0.2 * self.rng.gumbel(size=n)
         own = actor.hand_vertices("left", _one(first.wrist), np.stack([first.closed]))[0]
         tree = cKDTree(own)
-        for i in np.argsort(total)[:tries]:
-            if np.isinf(total[i]):
+        tried: set[int] = set()
+        for i in np.argsort(total):
+            if np.isinf(total[i]) or len(tried) >= tries:
                 break
+            if int(grasp[i]) in tried:
+                continue  # whether hands have room does not depend on where the object is
+            tried.add(int(grasp[i]))
             hold = self.holds.hold(
                 "right", int(grasp[i]), self.rest[2], float((self.prop.vertices @ self.rest[2]).min())
             )
