@@ -28,12 +28,13 @@ RULES = FrameFilter(True, True, 0.005, True, 1, 12, 1, "frame0", False)
 ENTRIES = [
     Entry(0, "s7/cylindermedium_lift_1", "s7", "cylindermedium", "lift"),
     Entry(1, "s7/cylindermedium_pass_1", "s7", "cylindermedium", "pass"),
+    Entry(0, "s7/airplane_offhand_1", "s7", "airplane", "offhand"),
 ]
 
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory):
-    """A small data set: two objects, two subjects, three intents."""
+    """A small data set: two objects, three intents."""
     root = tmp_path_factory.mktemp("open")
     (root / OBJECT_MESHES).mkdir(parents=True)
     for name in sorted({entry.object for entry in ENTRIES}):
@@ -61,7 +62,7 @@ def sequence(root, entry):
 def people(root, sequence):
     """(T, V, 3) of the body, posed from what the file names."""
     body = open_body()
-    v_template = torch.as_tensor(load_below(root, sequence.body.vtemp).vertices)
+    v_template = torch.tensor(load_below(root, sequence.body.vtemp).vertices)
     return body(sequence.body.parameters(), v_template).vertices.numpy()
 
 
