@@ -28,13 +28,12 @@ RULES = FrameFilter(True, True, 0.005, True, 1, 12, 1, "frame0", False)
 ENTRIES = [
     Entry(0, "s7/cylindermedium_lift_1", "s7", "cylindermedium", "lift"),
     Entry(1, "s7/cylindermedium_pass_1", "s7", "cylindermedium", "pass"),
-    Entry(0, "s7/airplane_offhand_1", "s7", "airplane", "offhand"),
 ]
 
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory):
-    """A small data set: two objects, three intents."""
+    """A small data set: one object, two intents."""
     root = tmp_path_factory.mktemp("open")
     (root / OBJECT_MESHES).mkdir(parents=True)
     for name in sorted({entry.object for entry in ENTRIES}):
