@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 import trimesh
+from joblib import Parallel, delayed
 from scipy.spatial import cKDTree
 
 from grabnet.benchmarks.run import Benchmark
@@ -12,6 +13,7 @@ from grabnet.benchmarks.scene import hands, meshes
 from grabnet.benchmarks.timing import Case
 from grabnet.body.anatomy import Anatomy
 from grabnet.geometry.mesh import Mesh
+from grabnet.preprocess.backends import machine_cores
 from grabnet.preprocess.contact import ContactAnnotator
 
 EPSILON = 0.0045
@@ -23,15 +25,28 @@ def cases(settings: Benchmark) -> list[Case]:
     thing = meshes()[1]
     frames, faces, parts = _bodies(thing, settings.batch, settings.seed)
     annotator = ContactAnnotator(thing, frames[0], faces, parts, EPSILON)
-    plain = f"SciPy and trimesh ({len(frames)} frames)"
+    processes = min(settings.threads or machine_cores(), len(frames))
+    parallel, shares = Parallel(processes), np.array_split(frames, processes)
+    plain, n = f"SciPy and trimesh ({len(frames)} frames)", len(frames)
+    of = f"{n} frames of {len(parts)} × {len(thing.vertices)} vertices"
     return [
-        Case(plain, lambda: [_plain(thing, vertices, faces) for vertices in frames], runs=2),
+        Case(plain, lambda: [_plain(thing, vertices, faces) for vertices in frames], runs=2, frames=n),
+        Case(f"annotator ({of})", lambda: [annotator(vertices) for vertices in frames], (plain,), frames=n),
         Case(
-            f"annotator ({len(frames)} frames of {len(parts)} × {len(thing.vertices)} vertices)",
-            lambda: [annotator(vertices) for vertices in frames],
+            f"annotators in {processes} processes",
+            lambda: parallel(delayed(_annotated)(thing, share, faces, parts) for share in shares),
             (plain,),
+            frames=n,
         ),
     ]
+
+
+def _annotated(thing: Mesh, frames: np.ndarray, faces: np.ndarray, parts: np.ndarray) -> None:
+    """What a worker of the preprocessing does with a recording's frames."""
+    torch.set_num_threads(1)
+    annotator = ContactAnnotator(thing, frames[0], faces, parts, EPSILON)
+    for vertices in frames:
+        annotator(vertices)
 
 
 def _bodies(thing: Mesh, n: int, seed: int) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:

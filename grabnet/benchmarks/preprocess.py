@@ -29,6 +29,8 @@ from grabnet.preprocess.pipeline import Preprocessing
 
 # As long as GRAB's are on average, of a body like SMPL-X's.
 N_FRAMES, N_BODY = 1200, 10_475
+# So many of them are enough to keep two workers busy.
+N_RECORDINGS = 8
 # Of the store that is loaded, and how many as published are loaded beside it.
 N_LOADED, N_PUBLISHED = 300_000, 3_000
 # Frames that are written as published.
@@ -39,7 +41,7 @@ def cases(settings: Benchmark) -> list[Case]:
     folder = Path(tempfile.mkdtemp(prefix="grabnet-benchmark-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     thing = meshes()[1]
-    names = [f"s{k % 10 + 1}/torus_lift_{k + 1}" for k in range(settings.batch)]
+    names = [f"s{k % 10 + 1}/torus_lift_{k + 1}" for k in range(N_RECORDINGS)]
     for k, name in enumerate(names):
         write_sequence(folder / "grab" / f"{name}.npz", _recording(name, thing, settings.seed + k))
     hand = HandModel.open()
@@ -56,22 +58,25 @@ def cases(settings: Benchmark) -> list[Case]:
     trial = run(2)
     frames, peak = len(FramesStore.load(trial / "frames").frames), _peak_mb(trial)
     size = sum(path.stat().st_size for path in (trial / "frames").rglob("*.*")) / frames
-    of = f"{len(names)} recordings of {N_FRAMES} frames"
+    of, read = f"{len(names)} recordings of {N_FRAMES} frames", len(names) * N_FRAMES
     _write_many(folder / "many", trial / "frames")
     _write_published(folder / "published.npz")
     written = f"{N_WRITTEN} frames written as published"
     loaded = f"{N_PUBLISHED:,} frames loaded as published"
     return [
-        Case(written, lambda: _as_published(FramesStore.load(trial / "frames"), thing, folder), runs=2),
-        Case(f"1 process: {of}", lambda: run(1), runs=2),
+        Case(
+            written, lambda: _as_published(FramesStore.load(trial / "frames"), thing, folder), runs=2, frames=N_WRITTEN
+        ),
+        Case(f"1 process: {of}", lambda: run(1), runs=2, frames=read),
         Case(
             f"2 processes of at most {peak} MB: {of}, {frames:,} kept at {size:.0f} bytes",
             lambda: run(2),
             (f"1 process: {of}",),
             runs=2,
+            frames=read,
         ),
-        Case(loaded, lambda: list(np.load(folder / "published.npz").values())),
-        Case(f"{N_LOADED:,} frames loaded", lambda: FramesStore.load(folder / "many"), (loaded,)),
+        Case(loaded, lambda: list(np.load(folder / "published.npz").values()), frames=N_PUBLISHED),
+        Case(f"{N_LOADED:,} frames loaded", lambda: FramesStore.load(folder / "many"), (loaded,), frames=N_LOADED),
     ]
 
 

@@ -71,12 +71,13 @@ class Benchmark:
 
 def _table(title: str, timings: Sequence[Timing]) -> Table:
     table = Table(title=title)
-    for heading in ("case", "median ms", "quartiles ms", "compared"):
-        table.add_column(heading, justify="right" if heading.endswith("ms") else "left")
+    for heading in ("case", "median ms", "quartiles ms", "frames/s", "compared"):
+        table.add_column(heading, justify="left" if heading in ("case", "compared") else "right")
     for timing in timings:
         median, lower, upper = (f"{1e3 * s:.2f}" for s in (timing.median, timing.lower, timing.upper))
         compared = "\n".join(_in_words(ratio, name) for name, ratio in timing.ratios.items())
-        table.add_row(timing.name, median, f"{lower} to {upper}", compared)
+        rate = "" if timing.frames_per_second is None else f"{timing.frames_per_second:,.0f}"
+        table.add_row(timing.name, median, f"{lower} to {upper}", rate, compared)
     return table
 
 

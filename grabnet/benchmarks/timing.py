@@ -15,18 +15,22 @@ class Case:
     """One thing to time.
 
     run: does it once. baselines: names of the cases it is compared with, which do the same in a plainer way, or a
-    part of it. runs: at most so many, for what takes long.
+    part of it. runs: at most so many, for what takes long. frames: that one run works on, to tell a rate.
     """
 
     name: str
     run: Callable[[], object]
     baselines: tuple[str, ...] = ()
     runs: int | None = None
+    frames: int | None = None
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Seconds per run: median, and the quartiles as spread. ratios: median of case / baseline, run beside run."""
+    """Seconds per run: median, and the quartiles as spread. ratios: median of case / baseline, run beside run.
+
+    frames_per_second: by the median; None where no frames are counted.
+    """
 
     name: str
     runs: int
@@ -34,6 +38,7 @@ class Timing:
     lower: float
     upper: float
     ratios: dict[str, float]
+    frames_per_second: float | None
 
 
 def measure(cases: Sequence[Case], runs: int) -> list[Timing]:
@@ -63,4 +68,5 @@ def _timing(case: Case, seconds: dict[str, list[float]]) -> Timing:
         name: statistics.median(a / b for a, b in zip(own, seconds[name], strict=False))
         for name in case.baselines
     }
-    return Timing(case.name, len(own), median, lower, upper, ratios)
+    rate = None if case.frames is None else case.frames / median
+    return Timing(case.name, len(own), median, lower, upper, ratios, rate)

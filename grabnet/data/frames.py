@@ -31,8 +31,9 @@ FORMAT = 2
 
 # Per-frame values of a shard and their widths; all float32 but the frame number.
 _VALUES = {"global_orient": 3, "hand_pose": 45, "transl": 3, "object_orient": 3}
-# Only in stores that hold another, noisy hand for each frame: its global_orient, hand_pose and transl.
-_NOISY = {"noisy": 51}
+# Only in stores that hold another, noisy hand for each frame: its difference from the true one in global_orient,
+# hand_pose and transl, as float16, which is wrong by a 2000th of the noise at most.
+_NOISE = {"noise": 51}
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,7 @@ def read_frames(root: str | Path, subjects: list[str], objects: list[str], seque
         UserError: a damaged shard.
     """
     shards = [_read_shard(shard_path(root, sequence)) for sequence in sequences]
-    noisy = all("noisy" in values for _, values in shards)
+    noisy = all("noise" in values for _, values in shards)
     columns = {name: torch.cat([values[name] for _, values in shards]) for name in (*_VALUES, "frame")}
     lengths = torch.tensor([len(values["frame"]) for _, values in shards])
 
@@ -139,7 +140,7 @@ def read_frames(root: str | Path, subjects: list[str], objects: list[str], seque
         subject=per_frame([subjects.index(header["subject"]) for header, _ in shards]),
         object=per_frame([objects.index(header["object"]) for header, _ in shards]),
         sequence=per_frame(list(range(len(shards)))),
-        noisy=torch.cat([values["noisy"] for _, values in shards]) if noisy else None,
+        noisy=torch.cat([_true_hand(values) + values["noise"].float() for _, values in shards]) if noisy else None,
     )
 
 
@@ -167,8 +168,11 @@ def write_shard(
             every shard of the store has it.
         header: further facts that JSON can say, for example `intent`.
     """
-    widths = _VALUES | (_NOISY if "noisy" in values else {})
+    widths = dict(_VALUES)
     tensors = {name: values[name].to(torch.float32).contiguous() for name in widths}
+    if "noisy" in values:
+        widths |= _NOISE
+        tensors["noise"] = _noise(values["noisy"], _true_hand(tensors)).to(torch.float16)
     tensors["frame"] = values["frame"].to(torch.int32).contiguous()
     for name, width in widths.items():
         if tensors[name].shape != (len(tensors["frame"]), width):
@@ -226,6 +230,19 @@ def is_made_by(root: str | Path, recipe: dict[str, Any]) -> bool:
 def _read_shard(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     header, values = _open_shard(path, lambda file: {name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118
     return header, values | {"frame": values["frame"].long()}
+
+
+def _true_hand(values: dict[str, Tensor]) -> Tensor:
+    """(N, 51) global_orient, hand_pose and transl side by side."""
+    return torch.cat([values["global_orient"], values["hand_pose"], values["transl"]], 1)
+
+
+def _noise(noisy: Tensor, true: Tensor) -> Tensor:
+    """(N, 51) what to add to true hands to have noisy ones; of the two ways to say a rotation the one nearest by."""
+    (turns, place), (near, _) = ((x[:, :48].unflatten(1, (16, 3)), x[:, 48:]) for x in (noisy, true))
+    reverse = turns * (1 - 2 * torch.pi / turns.norm(dim=2, keepdim=True).clamp_min(1e-8))
+    is_nearer = (reverse - near).norm(dim=2, keepdim=True) < (turns - near).norm(dim=2, keepdim=True)
+    return torch.cat([torch.where(is_nearer, reverse, turns).flatten(1), place], 1) - true
 
 
 def _open_shard(path: Path, read: Callable[[Any], Any]) -> tuple[dict[str, Any], Any]:

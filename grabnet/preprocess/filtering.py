@@ -58,8 +58,12 @@ class FrameFilter:
     def __post_init__(self):
         if self.height not in ("frame0", "table"):
             raise UserError(f"filter.height is '{self.height}'; it can be frame0 or table.")
-        if self.every < 1:
-            raise UserError(f"filter.every is {self.every}; it must be at least 1.")
+        least = {"every": 1, "min_finger_vertices": 1, "min_other_fingers": 0, "min_lift": 0}
+        for name, low in least.items():
+            if not (value := getattr(self, name)) >= low:
+                raise UserError(f"filter.{name} is {value}; it must be at least {low}.")
+        if self.min_other_fingers > (most := len(RIGHT_FINGERS) - 1):
+            raise UserError(f"filter.min_other_fingers is {self.min_other_fingers}; there are {most}.")
 
     def passed(self, track: GraspTrack, gap: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """(T,) bool for each rule, in the order in which they are applied; a rule switched off passes all.

@@ -5,6 +5,7 @@ import torch
 
 from grabnet.data.frames import FramesStore, finish_store, write_shard
 from grabnet.errors import UserError
+from grabnet.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 
 def shard_values(n: int, seed: int) -> dict[str, torch.Tensor]:
@@ -41,6 +42,24 @@ def test_frames_come_back_with_their_names(store):
 def test_a_store_takes_under_400_bytes_a_frame(tmp_path):
     write_shard(tmp_path, "s1/mug_lift_1", "s1", "mug", shard_values(1000, 0))
     assert sum(p.stat().st_size for p in tmp_path.rglob("*.safetensors")) < 400 * 1000
+
+
+def test_noisy_hands_fit_in_as_well_and_come_back_as_near_as_they_must(tmp_path):
+    """Rotations of up to half a turn, near which the two ways to write one down lie far apart."""
+    values, n = shard_values(1000, 0), 1000
+    axes = torch.nn.functional.normalize(torch.randn(n, 16, 3), dim=2)
+    true = axes * (torch.pi - 0.2 * torch.rand(n, 16, 1))
+    noisy = matrix_to_axis_angle(axis_angle_to_matrix(0.1 * torch.randn(n, 16, 3)) @ axis_angle_to_matrix(true))
+    values |= {"global_orient": true[:, 0], "hand_pose": true[:, 1:].flatten(1)}
+    values["noisy"] = torch.cat([noisy.flatten(1), values["transl"] + 0.01 * torch.randn(n, 3)], 1)
+    write_shard(tmp_path, "s1/mug_lift_1", "s1", "mug", values)
+    assert sum(p.stat().st_size for p in tmp_path.rglob("*.safetensors")) < 400 * n
+    finish_store(tmp_path, {"s1": torch.zeros(5, 3)}, ["mug"], {})
+    hand = FramesStore.load(tmp_path).frames.noisy_hand()
+    expected = axis_angle_to_matrix(noisy)
+    for found, wanted in ((hand.global_orient, expected[:, 0]), (hand.hand_pose, expected[:, 1:])):
+        torch.testing.assert_close(found, wanted, atol=1e-3, rtol=0)
+    torch.testing.assert_close(hand.transl, values["noisy"][:, 48:], atol=3e-5, rtol=0)
 
 
 def test_a_wrong_shape_is_refused_before_anything_is_written(tmp_path):

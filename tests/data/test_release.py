@@ -108,7 +108,7 @@ def test_the_store_shows_what_the_release_shows(tmp_path, meshes, by_rows):
             store.sequences[frames.sequence[k]], frames.frame[k].item()
         ]
         np.testing.assert_allclose(vertices[k], expected_hand, atol=2e-5)
-        np.testing.assert_allclose(noisy[k], expected_noisy, atol=2e-5)
+        np.testing.assert_allclose(noisy[k], expected_noisy, atol=8e-5)  # half precision
         np.testing.assert_allclose((mesh - mesh.mean(0)) @ turns[k].numpy().T, expected_object, atol=2e-5)
     check = store.card["provenance"]["hand_vertices_mm"]
     for off in (check[split][kind] for split in FRAMES for kind in ("true", "noisy")):
@@ -136,7 +136,7 @@ def test_noisy_hands_are_what_refinenet_starts_from(tmp_path, meshes, cache_dir)
     frames = data.frames("train")
     for k in range(3):
         _, noisy, _, _ = shown[store.sequences[frames.sequence[k]], frames.frame[k].item()]
-        np.testing.assert_allclose(start[k], noisy, atol=2e-5)
+        np.testing.assert_allclose(start[k], noisy, atol=8e-5)
     # Turned with all else.
     moved = hand(StoredNoise()(turned), turned.rest).vertices
     torch.testing.assert_close(

@@ -272,6 +272,8 @@ def test_a_store_of_something_else_is_not_gone_on_with(changed, own_grab, tmp_pa
         (["contact=guess"], "contact is 'guess'; it can be stored or recompute."),
         (["filter.height=floor"], r"filter\.height is 'floor'; it can be frame0 or table"),
         (["filter.every=0"], r"filter\.every is 0"),
+        (["filter.min_lift=-0.01"], r"filter\.min_lift is -0\.01; it must be at least 0"),
+        (["filter.min_other_fingers=5"], r"filter\.min_other_fingers is 5; there are 4"),
         (["fitler.every=2"], "Unknown key 'fitler' in the config; did you mean filter"),
         (["open.root=/nowhere"], r"/nowhere holds no recordings .*: make them with python scripts/build_open\.py"),
     ],

@@ -26,6 +26,8 @@ _AXIAL = np.array([1, -1, -1], np.float32)
 # An arm that has nothing to do hangs beside the body and somewhat behind it, clear of the table: radians by which the
 # shoulder drops and goes back and the elbow bends.
 _DROP, _BACK, _BEND = 1.15, 0.3, 0.3
+# One that waits for its turn in a hand-over has its hand above the table already, before its own shoulder.
+_READY_DROP, _READY_BEND = 0.55, 1.9
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,7 @@ class Actor:
 
     Attributes:
         arms: by side. floor: height of the soles, metres, the pelvis at rest being at 0.
+        girth: half width (x) and half depth (z) of the waist, and how far its middle is before the spine, metres.
     """
 
     def __init__(self, subject: Subject, body: BodyModel, hand: HandModel):
@@ -56,6 +59,7 @@ class Actor:
         self.arms = {side: Arm(self.joints, side) for side in SIDES}
         self.floor = float(subject.v_template[:, 1].min())
         self.rest_hand = {"right": torch.as_tensor(subject.rhand), "left": torch.as_tensor(subject.lhand)}
+        self.girth = self._girth()
         self.hand_wrist = hand.rest_joints(self.rest_hand["right"])[0].double().numpy()
 
     def trunk(self, values: np.ndarray) -> Trunk:
@@ -82,12 +86,20 @@ class Actor:
         """(N, 3) positions of a shoulder joint."""
         return trunk.chest.points((self._rest(f"{side}_shoulder") - self._rest("spine3"))[None])[:, 0]
 
+    def off_trunk(self, trunk: Trunk, points: np.ndarray) -> np.ndarray:
+        """(N, P) metres, about, from points (N, P, 3) to the trunk, as if it were a column; far above the shoulders."""
+        wide, deep, middle = self.girth
+        local = trunk.chest.inverse().points(points)
+        out = (np.hypot(local[..., 0] / wide, (local[..., 2] - middle) / deep) - 1) * min(wide, deep)
+        return np.where(local[..., 1] > self._rest("neck")[1] - self._rest("spine3")[1], np.inf, out)
+
     def hanging(self, side: str) -> np.ndarray:
         """(3, 3, 3) rotations of an arm that has nothing to do."""
-        inward = 1 if side == "right" else -1
-        shoulder = Rotation.from_rotvec([_BACK, 0, 0]) * Rotation.from_rotvec([0, 0, inward * _DROP])
-        elbow = Rotation.from_rotvec([0, inward * _BEND, 0])
-        return np.stack([shoulder.as_matrix(), elbow.as_matrix(), np.eye(3)])
+        return _arm(side, _BACK, _DROP, _BEND)
+
+    def ready(self, side: str) -> np.ndarray:
+        """(3, 3, 3) rotations of an arm that waits for its turn, its hand above any table."""
+        return _arm(side, 0, _READY_DROP, _READY_BEND)
 
     def hand_vertices(self, side: str, wrist: Pose, angles: np.ndarray) -> np.ndarray:
         """(N, 778, 3) of hands whose wrist joints are at N poses, with (N, 21) anatomical angles."""
@@ -102,8 +114,24 @@ class Actor:
         pose = matrix_to_axis_angle(self.anatomy.hand_pose(_tensor(angles))).numpy()
         return (pose * (1 if side == "right" else _AXIAL)).reshape(len(angles), 45)
 
+    def _girth(self) -> tuple[float, float, float]:
+        part = self.body.weights.argmax(1).numpy()
+        of_trunk = np.isin(part, [JOINTS.index(j) for j in ("spine1", "spine2", "spine3")])
+        vertices = self.subject.v_template[of_trunk] - self._rest("spine3")
+        waist = vertices[vertices[:, 1] < 0]
+        (wide, _, high), (_, _, low) = waist.max(0), waist.min(0)
+        return float(wide), float(high - low) / 2, float(high + low) / 2
+
     def _rest(self, joint: str) -> np.ndarray:
         return self.joints[JOINTS.index(joint)]
+
+
+def _arm(side: str, back: float, drop: float, bend: float) -> np.ndarray:
+    """(3, 3, 3) rotations of an arm lowered beside the body from T-pose, the elbow bent forward."""
+    inward = 1 if side == "right" else -1
+    shoulder = Rotation.from_rotvec([back, 0, 0]) * Rotation.from_rotvec([0, 0, inward * drop])
+    elbow = Rotation.from_rotvec([0, inward * bend, 0])
+    return np.stack([shoulder.as_matrix(), elbow.as_matrix(), np.eye(3)])
 
 
 def _turned(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:

@@ -184,9 +184,11 @@ def record(entry: Entry, root: Path, seed: int) -> dict[str, Any]:
     actor, prop = _actor(entry.subject), _prop(root, entry.object)
     holds = Holds(prop, actor, _grasps())
     rejected: Counter[str] = Counter()
+    taken_by = "left" if entry.intent == "offhand" and "left" in holds.sides else "right"
+    # A thin thing that no hand can take as it lies flat stands on its edge.
+    rests = [rest for rest in prop.rests if holds.clears(taken_by, rest).any()] or prop.rests
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, 1, entry.number, attempt])
-        rests = prop.rests
         rest = rests[0] if rng.random() < _LIES_AS_MODELLED else rests[rng.integers(len(rests))]
         table = Table(rng.uniform(*TABLE_HEIGHTS) + actor.floor)
         heading, spot = rng.uniform(-np.pi, np.pi), rng.normal(0, 0.3, 2)

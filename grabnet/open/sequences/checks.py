@@ -59,9 +59,9 @@ def measure(sequence: Sequence, stage: Performance, prop: Prop, table: Table) ->
     actor = stage.actor
     part = actor.body.weights.argmax(1).numpy()
     in_hand = np.isin(part, [*RIGHT_HAND, *LEFT_HAND])
-    feet, arms = np.isin(part, _FEET), in_hand | np.isin(part, _LOWER_ARMS)
+    feet, arms = torch.as_tensor(np.isin(part, _FEET)), in_hand | np.isin(part, _LOWER_ARMS)
     low, high = prop.mesh.bounds.astype(np.float64)
-    rotation, transl = sequence.table.rotations(slice(0, 1))[0].double(), sequence.table.transl[0].astype(np.float64)
+    rotation, transl = sequence.table.rotations(slice(0, 1))[0].double().numpy(), sequence.table.transl[0].astype(float)
     width, thickness, depth = TABLE_SIZE
     half = np.array([width, depth, thickness]) / 2
 
@@ -74,26 +74,28 @@ def measure(sequence: Sequence, stage: Performance, prop: Prop, table: Table) ->
     first = last = None
     for start in range(0, len(sequence), _BATCH):
         frames = slice(start, start + _BATCH)
-        vertices = actor.body(sequence.body.parameters(frames), actor.v_template).vertices.numpy()
-        chain = vertices if last is None else np.concatenate([last[None], vertices])
-        if len(chain) > 1:
-            step = max(step, float(np.sqrt((np.diff(chain, axis=0) ** 2).sum(-1).max())))
-        first = vertices[0] if first is None else first
-        feet_way = max(feet_way, float(np.abs(vertices[:, feet] - first[feet]).max()))
-        last = vertices[-1].copy()
+        posed = actor.body(sequence.body.parameters(frames), actor.v_template).vertices
+        before = posed[:-1] if last is None else torch.cat([last[None], posed[:-1]])
+        way = (posed[-len(before) :] - before).square_()
+        step = max(step, float((way[..., 0] + way[..., 1] + way[..., 2]).max().sqrt()))
+        first = posed[0] if first is None else first
+        feet_way = max(feet_way, float((posed[:, feet] - first[feet]).abs().max()))
+        last = posed[-1].clone()
 
-        some = np.arange(-start % _EVERY, len(vertices), _EVERY)
-        local = sequence.object.to_local(torch.as_tensor(vertices[some]), start + some).numpy()
-        near = ((local > low) & (local < high)).all(-1)
+        some = np.arange(-start % _EVERY, len(posed), _EVERY)
+        local = sequence.object.to_local(posed[some], start + some).numpy()
+        near = _inside_box(local, low, high)
         for mask, is_hand in ((near & in_hand, True), (near & ~in_hand, False)):
             if mask.any():
                 depth = max(0.0, -float(prop.distance(local[mask]).min()))
                 hand_depth, body_depth = (
                     (max(hand_depth, depth), body_depth) if is_hand else (hand_depth, max(body_depth, depth))
                 )
-        on_table = (vertices[some].astype(np.float64) - transl) @ rotation.numpy()
-        table_depth = max(table_depth, float((half - np.abs(on_table + np.array([0, 0, half[2]]))).min(-1).max()))
-        skin = from_world.points(vertices[some][:, arms].reshape(-1, 3)).reshape(len(some), -1, 3)
+        vertices = posed[some].numpy()
+        across, along, up = np.moveaxis(np.abs((vertices - transl) @ rotation + [0, 0, half[2]]), -1, 0)
+        inside = np.minimum(np.minimum(half[0] - across, half[1] - along), half[2] - up)
+        table_depth = max(table_depth, float(inside.max()))
+        skin = from_world.points(vertices[:, arms].reshape(-1, 3)).reshape(len(some), -1, 3)
         for query, at, origin in ((trunk_mesh, trunk.chest, spine3), (head_mesh, trunk.head, head)):
             frame = Pose(at.rotation[start + some], at.position[start + some]).inverse()
             points = skin @ np.swapaxes(frame.rotation, 1, 2) + frame.position[:, None] + origin
@@ -115,6 +117,11 @@ def measure(sequence: Sequence, stage: Performance, prop: Prop, table: Table) ->
         table_depth=1e3 * max(0.0, table_depth),
         trunk_depth=1e3 * max(0.0, trunk_depth),
     )
+
+
+def _inside_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    x, y, z = (((points[..., k] > low[k]) & (points[..., k] < high[k])) for k in range(3))
+    return x & y & z
 
 
 def _fastest_turn(sequence: Sequence) -> float:

@@ -48,13 +48,13 @@ def save_strip(path: Path, files: Sequence[Path], root: Path, n: int = 8, size: 
 def draw(file: Path, root: Path, body: BodyModel, frames: np.ndarray, size: tuple[int, int]) -> list[np.ndarray]:
     """uint8 pictures of chosen frames, from one side for all of them."""
     sequence = read_sequence(file)
-    v_template = torch.as_tensor(load_below(root, sequence.body.vtemp).vertices)
+    v_template = torch.tensor(load_below(root, sequence.body.vtemp).vertices)
     people = body(sequence.body.parameters(frames), v_template).vertices
     room = sequence.table.rotations(slice(0, 1))[0].numpy()
     moved = []
     for track, color in ((sequence.object, OBJECT), (sequence.table, _TABLE)):
         mesh = load_below(root, track.mesh)
-        moved.append((track.to_world(torch.as_tensor(mesh.vertices), frames), mesh.faces, color))
+        moved.append((track.to_world(torch.tensor(mesh.vertices), frames), mesh.faces, color))
     return [
         render(
             [Shape(people[k], body.faces, SKIN), *(Shape(v[k], faces, color) for v, faces, color in moved)],

@@ -23,6 +23,7 @@ from grabnet.open.sequences.setting import (
     look_at,
     place,
     somewhere,
+    thing_offset,
     trunk_effort,
 )
 from grabnet.open.sequences.uses import motion_of, tilt_of, use_of
@@ -118,7 +119,7 @@ class Scene:
         takes = self._room().any(1).nonzero()[0]
         first, reach = place(self.actor, self.holds, "left", self.table, self.rest, self.rng, only=takes)
         stage = self._start(reach.thing)
-        self._take(stage, first, reach, first=True)
+        self._take(stage, first, reach, first=True, other_arm=self.actor.ready("right"))
         second, meet = self._hand_over(first, reach.thing)
         self._bring(stage, first, meet._replace(swivels=meet.swivels[:1]), "leave", self._seconds(1.0, 1.3))
         # The right hand comes while the left one holds still.
@@ -145,7 +146,7 @@ class Scene:
         path = travel(stage.thing, down.thing, round(1.4 * FRAMERATE), "land")
         stage.move(
             1.4, trunk=down.trunk, thing=path, right=Guided(path @ second.wrist, down.swivels[0]),
-            left=self.actor.hanging("left"), fingers={"left": 0.3 * first.open}, held="right",
+            left=self.actor.ready("left"), fingers={"left": 0.3 * first.open}, held="right",
         )  # fmt: skip
         self._let_go(stage, second)
         self._leave(stage)
@@ -174,12 +175,16 @@ class Scene:
         stage.move(0.1)
         return stage
 
-    def _take(self, stage: Performance, hold: Hold, reach: Reach, first: bool) -> None:
-        """Come to the object on the table and close the hand."""
+    def _take(
+        self, stage: Performance, hold: Hold, reach: Reach, first: bool, other_arm: np.ndarray | None = None
+    ) -> None:
+        """Come to the object on the table and close the hand; the other arm goes to `other_arm`, or hangs."""
         before, swivel = hold.approach(reach.thing), reach.swivels[0]
         other = "left" if hold.side == "right" else "right"
         above = Pose(before.rotation, before.position + _ABOVE)
-        arms = {hold.side: stage.at(hold.side, above, swivel, reach.trunk), other: self.actor.hanging(other)}
+        if other_arm is None:
+            other_arm = self.actor.hanging(other)
+        arms = {hold.side: stage.at(hold.side, above, swivel, reach.trunk), other: other_arm}
         relaxed = {hold.side: hold.open, other: 0.3 * hold.open}
         stage.move(self._seconds(1.1, 1.4) if first else 0.65, reach.trunk, **arms, fingers=relaxed)
         stage.move(0.35, **{hold.side: Guided(travel(above, before, round(0.35 * FRAMERATE)), swivel)})
@@ -236,27 +241,30 @@ class Scene:
 
     def _room(self) -> np.ndarray:
         """(N, N) whether a left grasp leaves a right one room, and that one can put the object down afterwards."""
-        return (self.holds.apart > _ROOM) & (self.holds.clearance("right", self.rest) > -0.0005)
+        return (self.holds.apart > _ROOM) & self.holds.clears("right", self.rest)
 
-    def _hand_over(self, first: Hold, thing: Pose, n: int = 15000, tries: int = 60) -> tuple[Hold, Reach]:
+    def _hand_over(self, first: Hold, thing: Pose, n: int = 15000, tries: int = 20) -> tuple[Hold, Reach]:
         """A place before the chest, and a grasp of the right hand that leaves the left one room."""
         actor = self.actor
         things = somewhere(self.rng, self.prop, thing.rotation, (-0.15, 0.12, 0.25), (0.15, 0.4, 0.48), 0.7, 1.5, n)
-        grasp = self.rng.integers(len(self.holds), size=n)
         free = self._room()[first.number].nonzero()[0]
         grasp = self.rng.choice(free, n)
         right = self.holds.wrist["right"]
         draws: Draws = draw_trunks(self.rng, n, 2, (-0.05, 0.25))
         total = trunk_effort(draws.trunk)
-        total += hand_effort(actor, "left", things @ first.wrist, draws, 0, self.table, None)
+        total += hand_effort(actor, "left", things @ first.wrist, draws, 0, self.table, thing_offset(things, first))
         second = Pose(right.rotation[grasp], right.position[grasp])
         total += hand_effort(actor, "right", things @ second, draws, 1, self.table, None)
         total += 0.2 * self.rng.gumbel(size=n)
         own = actor.hand_vertices("left", _one(first.wrist), np.stack([first.closed]))[0]
         tree = cKDTree(own)
-        for i in np.argsort(total)[:tries]:
-            if np.isinf(total[i]):
+        tried: set[int] = set()
+        for i in np.argsort(total):
+            if np.isinf(total[i]) or len(tried) >= tries:
                 break
+            if int(grasp[i]) in tried:
+                continue  # whether hands have room does not depend on where the object is
+            tried.add(int(grasp[i]))
             hold = self.holds.hold(
                 "right", int(grasp[i]), self.rest[2], float((self.prop.vertices @ self.rest[2]).min())
             )

@@ -27,6 +27,8 @@ _PRESSES = np.arange(0, 0.45, 0.02)
 _RELEASES = -np.arange(0, 0.21, 0.01)
 _AWAY = 0.11  # metres from where an approach starts to the grasp
 _STEPS = np.array([0.0, 0.012, 0.03, 0.06, _AWAY])
+# Metres that a hand may be in the table: with a grasp as it was synthesised, and while it presses and closes.
+_ON_TABLE, _INTO_TABLE = 0.0005, 0.002
 
 
 @dataclass(frozen=True)
@@ -119,10 +121,10 @@ class Holds:
     def __len__(self) -> int:
         return len(self.angles)
 
-    def clearance(self, side: str, rest: np.ndarray) -> np.ndarray:
-        """(N,) height of the hands' lowest vertices above the table on which the object lies, turned by `rest`."""
+    def clears(self, side: str, rest: np.ndarray) -> np.ndarray:
+        """(N,) whether each grasp leaves the hand above the table on which the object lies, turned by `rest`."""
         table = (self.prop.vertices @ rest[2]).min()
-        return (self._vertices[side] @ rest[2]).min(1) - table
+        return (self._vertices[side] @ rest[2]).min(1) > table - _ON_TABLE
 
     @cached_property
     def apart(self) -> np.ndarray:
@@ -145,6 +147,8 @@ class Holds:
         best: tuple[float, Hold] | None = None
         for share in _OPENINGS:
             opened = self.opened(closed, share)
+            if up is not None and self._lowest(side, wrist, np.linspace(opened, closed, 4), up) < table - _INTO_TABLE:
+                continue
             for way in ways:
                 back = _AWAY * way / np.linalg.norm(way)
                 moved = Pose(np.tile(wrist.rotation, (5, 1, 1)), wrist.position + _STEPS[:, None] / _AWAY * back)
@@ -157,6 +161,11 @@ class Holds:
             if best and best[0] > -0.002:
                 break
         return best[1] if best and best[0] > -0.004 else None
+
+    def _lowest(self, side: str, wrist: Pose, angles: np.ndarray, up: np.ndarray) -> float:
+        """Height along `up` of the lowest vertex of a hand at one place, with (N, 21) angles."""
+        still = Pose(np.tile(wrist.rotation, (len(angles), 1, 1)), np.tile(wrist.position, (len(angles), 1)))
+        return float((self.actor.hand_vertices(side, still, angles) @ up).min())
 
     def pressed(self, side: str, k: int) -> np.ndarray:
         """(21,) angles of the k-th grasp, the fingers that touch pressed into the object as flesh would be.

@@ -11,13 +11,14 @@ from scipy.spatial.transform import Rotation
 from grabnet.open.sequences.actor import ASIDE, DOWN, LEAN, TILT, TURN, Actor
 from grabnet.open.sequences.arms import effort
 from grabnet.open.sequences.motion import Pose
-from grabnet.open.sequences.performance import InfeasibleError, solve
+from grabnet.open.sequences.performance import InfeasibleError
 from grabnet.open.sequences.props import UP, Hold, Holds, Prop
 
 TABLE_HEIGHTS = (0.75, 1.20)  # metres above the floor
 TABLE_SIZE = (1.10, 0.03, 0.70)  # metres: width, thickness, depth
 TABLE_EDGE = 0.27  # metres from the pelvis at rest to the near edge
 _FOREARM_RADIUS = 0.045  # metres that the bones of the forearm stay above the table
+_SOFT = 0.02  # metres that they may be nearer to the trunk: it is no column, and gives way
 
 
 @dataclass(frozen=True)
@@ -76,25 +77,25 @@ def trunk_effort(trunk: np.ndarray) -> np.ndarray:
 def hand_effort(
     actor: Actor, hold_side: str, wrist: Pose, draws: Draws, column: int, table: Table | None, back: np.ndarray | None
 ) -> np.ndarray:
-    """(N,) effort of reaching N wrists; infinite where the forearm would go through the table.
+    """(N,) effort of reaching N wrists; infinite where the forearm would go through the table or the trunk.
 
     Args:
         back: (3,) or (N, 3) offset in the world of the wrist before it comes, which must be in reach too.
     """
-    pose = solve(actor, hold_side, wrist, draws.swivel[:, column], draws.trunk)
-    total = effort(pose, draws.swivel[:, column])
+    trunk, swivel = actor.trunk(draws.trunk), draws.swivel[:, column]
+    shoulder, arm = actor.shoulder(trunk, hold_side), actor.arms[hold_side]
+    pose = arm.reach(trunk.chest.rotation, shoulder, wrist, swivel)
+    total = effort(pose, swivel)
     if back is not None:
-        before = solve(
-            actor, hold_side, Pose(wrist.rotation, wrist.position + back), draws.swivel[:, column], draws.trunk
-        )
-        total += 0.3 * effort(before, draws.swivel[:, column])
+        before = Pose(wrist.rotation, wrist.position + back)
+        total += 0.3 * effort(arm.reach(trunk.chest.rotation, shoulder, before, swivel), swivel)
+    share = np.linspace(0.12, 1, 5)[:, None]
+    forearm = wrist.position[:, None] + share * (pose.elbow_at - wrist.position)[:, None]
+    blocked = actor.off_trunk(trunk, forearm) < _FOREARM_RADIUS - _SOFT
     if table is not None:
-        share = np.linspace(0.12, 1, 5)[:, None, None]
-        forearm = wrist.position + share * (pose.elbow_at - wrist.position)
         over = forearm[..., 2] > TABLE_EDGE - _FOREARM_RADIUS
-        low = forearm[..., 1] < table.top + _FOREARM_RADIUS
-        total = np.where((over & low).any(0), np.inf, total)
-    return total
+        blocked |= over & (forearm[..., 1] < table.top + _FOREARM_RADIUS)
+    return np.where(blocked.any(1), np.inf, total)
 
 
 def place(
@@ -119,7 +120,7 @@ def place(
         InfeasibleError: no easy grasp found.
     """
     prop = holds.prop
-    free = (holds.clearance(side, rest) > -0.0005).nonzero()[0]
+    free = holds.clears(side, rest).nonzero()[0]
     free = free if only is None else np.intersect1d(free, only)
     if not len(free):
         raise InfeasibleError("no grasp clears the table")

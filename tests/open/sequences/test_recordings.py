@@ -33,7 +33,7 @@ ENTRIES = [
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory):
-    """A small data set: two objects, two subjects, three intents."""
+    """A small data set: one object, two intents."""
     root = tmp_path_factory.mktemp("open")
     (root / OBJECT_MESHES).mkdir(parents=True)
     for name in sorted({entry.object for entry in ENTRIES}):
@@ -61,7 +61,7 @@ def sequence(root, entry):
 def people(root, sequence):
     """(T, V, 3) of the body, posed from what the file names."""
     body = open_body()
-    v_template = torch.as_tensor(load_below(root, sequence.body.vtemp).vertices)
+    v_template = torch.tensor(load_below(root, sequence.body.vtemp).vertices)
     return body(sequence.body.parameters(), v_template).vertices.numpy()
 
 
