@@ -47,4 +47,5 @@ def cases(settings: Benchmark) -> list[Case]:
         Case("scenes alone", scenes),
         Case(f"grasptta, {pieces} pieces", lambda: simulator.grasptta(vertices), (lattice, "scenes alone")),
         Case(f"shake, {pieces} pieces", lambda: simulator.shake(vertices), ("scenes alone",), runs=3),
+        Case(f"both in one scene, {pieces} pieces", lambda: simulator.both(vertices), ("scenes alone",), runs=3),
     ]

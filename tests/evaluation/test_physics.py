@@ -163,6 +163,18 @@ def test_neither_order_nor_number_of_grasps_matters(simulator, grasps):
     assert simulator.shake(grasps[1:2]) == simulator.shake(grasps[:2])[1:]
 
 
+def test_both_protocols_in_one_scene_are_each_by_itself(simulator, grasps):
+    """To the bit, though friction is changed between them; so is mass, to a thousandth: its inverse is kept, too."""
+    apart = zip(simulator.grasptta(grasps), simulator.shake(grasps), strict=True)
+    assert [tuple(pair) for pair in simulator.both(grasps)] == list(apart)
+    solids = [grasps[0][piece] for piece in simulator.pieces]
+    heavy = replace(CONFIG.shake.dynamics, mass=3.0, friction=0.2, timestep=1 / 500)
+    changed = Simulation(simulator.body, solids, GRASPTTA.dynamics)
+    changed.dynamics = heavy
+    expected = let_go(solids, heavy, body=simulator.body)
+    assert changed.let_go(DOWN, 35).displacement == pytest.approx(expected, rel=1e-6)
+
+
 def test_mirrored_and_turned_scenes_agree(simulator, grasps, ball, cache_dir):
     expected = distances(simulator.grasptta(grasps))
     mirror = np.array([-1, 1, 1], np.float32)
