@@ -13,8 +13,8 @@ from grabnet.benchmarks.run import Benchmark
 from grabnet.benchmarks.scene import hands, meshes
 from grabnet.benchmarks.timing import Case
 from grabnet.evaluation.physics import Simulator
-from grabnet.evaluation.simulation import Simulation
 from grabnet.open.grasps.stability import StabilityConfig, cut
+from grabnet.physics.simulation import Simulation
 
 CONFIG = Path(__file__).parents[2] / "configs" / "evaluation" / "physics.yaml"
 

@@ -16,12 +16,12 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from grabnet.body.hand import HandModel
-from grabnet.evaluation.decomposition import DecompositionConfig, DecompositionError, convex_pieces
 from grabnet.evaluation.metrics import Metric
 from grabnet.evaluation.physics import Outcome, PhysicsConfig, Simulator, engines
 from grabnet.evaluation.scene import Scene
 from grabnet.files import sha256
 from grabnet.geometry.mesh import Mesh
+from grabnet.physics.decomposition import DecompositionConfig, DecompositionError, convex_pieces
 
 _MOVED = "how far the object's centre moves when let go for 35 steps of 1/240 s, the hand fixed, friction 3, 1 kg"
 _FARTHEST = "how far the object moves relative to the hand, the farthest of the six; soon after the limit it ends"

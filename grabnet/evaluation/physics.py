@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike
 
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
-from grabnet.evaluation.decomposition import DecompositionConfig, convex_pieces
-from grabnet.evaluation.hand_pieces import hand_pieces
-from grabnet.evaluation.simulation import Dynamics, RigidBody, Simulation, SimulationError
 from grabnet.geometry.mesh import Mesh
+from grabnet.physics.decomposition import DecompositionConfig, convex_pieces
+from grabnet.physics.hand_pieces import hand_pieces
+from grabnet.physics.simulation import Dynamics, RigidBody, Simulation, SimulationError
 
 
 def engines() -> dict[str, str]:

@@ -15,11 +15,11 @@ from omegaconf import OmegaConf
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
-from grabnet.evaluation.coacd_process import CoacdError, cut
-from grabnet.evaluation.decomposition import DecompositionConfig, DecompositionError, convex_pieces, decomposed
-from grabnet.evaluation.hand_pieces import hand_pieces
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
+from grabnet.physics.coacd_process import CoacdError, cut
+from grabnet.physics.decomposition import DecompositionConfig, DecompositionError, convex_pieces, decomposed
+from grabnet.physics.hand_pieces import hand_pieces
 
 pytest.importorskip("coacd")
 

@@ -16,11 +16,11 @@ from scipy.spatial import ConvexHull, QhullError
 
 from grabnet.cache import default_cache, load_or_build
 from grabnet.errors import UserError
-from grabnet.evaluation.coacd_process import CoacdError, cut
 from grabnet.files import replacing, sha256
 from grabnet.geometry.intersections import MovingMesh, find_crossings
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
+from grabnet.physics.coacd_process import CoacdError, cut
 
 # Part of the cache key: raise it when the same mesh, config and version of CoACD would give other pieces.
 FORMAT = 2

@@ -1,4 +1,4 @@
-"""CoACD in a process of its own: `python -m grabnet.evaluation.coacd_process FOLDER` cuts the mesh that lies there.
+"""CoACD in a process of its own: `python -m grabnet.physics.coacd_process FOLDER` cuts the mesh that lies there.
 
 What CoACD cannot do it ends the process for, or never ends; so it is not run where other things would go with it.
 FOLDER holds mesh.npz (vertices, faces) and options.json, for `coacd.run_coacd`; pieces.npz is put there: the corners of
