@@ -62,7 +62,8 @@ class Holding:
 
     def prepare(self, meshes: Sequence[Mesh], processes: int) -> None:
         """Cut objects into convex pieces, several at once: processes that share an object would each do it."""
-        Parallel(n_jobs=processes)(delayed(_cut)(mesh, self.config.decomposition, self.cache_dir) for mesh in meshes)
+        cutting = (delayed(_cut)(mesh, self.config.decomposition, self.cache_dir) for mesh in meshes)
+        Parallel(n_jobs=processes, prefer="threads")(cutting)  # CoACD has a process of its own
 
     def __call__(self, scene: Scene) -> dict[str, np.ndarray]:
         target, vertices = scene.target, scene.hands.vertices
