@@ -192,7 +192,9 @@ def _field(findings: Findings) -> str:
     protocols = ("halo", "grasptta", "shake", "penetration", "diversity")
     summary = _plain_table(findings, findings.of(*protocols))
     each = "".join(
-        _by_object(findings, metric) for metric in findings.of("halo", "grasptta", "shake") if metric.name != "contact"
+        _by_object(findings, metric)
+        for metric in findings.of("halo", "grasptta", "shake")
+        if metric.name not in ("contact", "failed")  # what failed is told in words
     )
     head = "".join(f"<th>{h}</th>" for h in ("volume [cm³]", "contact [%]", "displacement [cm]", "cluster size [cm]"))
     lines = [f"<tr><th class=metric>reported by others</th>{head}</tr>"]
