@@ -131,7 +131,12 @@ def _sentence(error: Exception) -> str:
     if isinstance(cause, ConfigAttributeError | ConfigKeyError) and cause.parent_node is not None:
         names = [str(k) for k in cause.parent_node if k not in ("hydra", "_target_")]
         close = difflib.get_close_matches(str(cause.key), names, n=1)
-        hint = f"did you mean {close[0]}? It" if close else "it"
         where = (cause.full_key or "").rpartition(".")[0] or "the config"
-        return f"Unknown key '{cause.full_key}' in {where}; {hint} has {', '.join(names)}."
+        if close:
+            hint = f"did you mean {close[0]}? It has {', '.join(names)}"
+        elif "_target_" in cause.parent_node:  # its other values are not listed
+            hint = f"it has {', '.join(names) or 'none'}; if its target takes it, write +{cause.full_key}=…"
+        else:
+            hint = f"it has {', '.join(names)}"
+        return f"Unknown key '{cause.full_key}' in {where}; {hint}."
     return " ".join(str(error).split())

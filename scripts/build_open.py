@@ -15,7 +15,9 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from grabnet.errors import UserError
 
@@ -23,6 +25,8 @@ from grabnet.errors import UserError
 def hand(arguments: argparse.Namespace) -> None:
     from grabnet.open.hand.build import build_hands
 
+    if arguments.check:
+        return check(build_hands, arguments.folder, n_adults=arguments.adults, seed=arguments.seed)
     report = build_hands(arguments.folder, n_adults=arguments.adults, seed=arguments.seed)
     print(f"Wrote MANO_RIGHT.npz and MANO_LEFT.npz to {arguments.folder}; on adults left out of the fit:")
     print(f"  joints {report.joint_error[0]:.2f} mm off on average, {report.joint_error[1]:.2f} mm at most;")
@@ -59,6 +63,8 @@ def grasps(arguments: argparse.Namespace) -> None:
 def body(arguments: argparse.Namespace) -> None:
     from grabnet.open.body.build import build_body
 
+    if arguments.check:
+        return check(build_body, arguments.folder)
     report = build_body(arguments.folder)
     print(f"Wrote SMPLX_NEUTRAL.npz and subjects.npz to {arguments.folder}; on adults left out of the fit:")
     print(f"  joints {report.joint_error[0]:.2f} mm off on average, {report.joint_error[1]:.2f} mm at most;")
@@ -78,6 +84,17 @@ def film(arguments: argparse.Namespace) -> None:
     save(arguments.output, arguments.files, arguments.root)
 
 
+def check(build: Callable[..., object], folder: Path, **options: object) -> None:
+    """Build anew, elsewhere, and compare what comes out with the files of `folder`."""
+    from grabnet.open.comparing import compare_models
+
+    with TemporaryDirectory() as rebuilt:
+        build(rebuilt, **options)
+        for path in sorted(Path(rebuilt).iterdir()):
+            array, difference = compare_models(path, folder / path.name)
+            print(f"{folder / path.name}: at most {difference:.1e} off (in {array}).")
+
+
 def parser() -> argparse.ArgumentParser:
     main = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = main.add_subparsers(
@@ -89,6 +106,7 @@ def parser() -> argparse.ArgumentParser:
     command.add_argument("--adults", type=int, default=400, help="hands sampled (default: %(default)s)")
     command.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
     command.add_argument("--picture", type=Path, help="also draw poses and shapes here, such as docs/open_hand.png")
+    command.add_argument("--check", action="store_true", help="write nothing: compare what is there with a new one")
     command.set_defaults(run=hand)
 
     command = commands.add_parser("objects", help="mesh the open objects, one .ply each; those up to date are kept")
@@ -110,6 +128,7 @@ def parser() -> argparse.ArgumentParser:
 
     command = commands.add_parser("body", help="the open body in SMPL-X's schema, with the open hands")
     command.add_argument("--folder", type=Path, default=Path("assets/open_body"), help="(default: %(default)s)")
+    command.add_argument("--check", action="store_true", help="write nothing: compare what is there with a new one")
     command.set_defaults(run=body)
 
     command = commands.add_parser("sequences", help="recordings of open bodies with open objects; those there are kept")

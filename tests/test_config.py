@@ -21,6 +21,7 @@ ROOT = Path(__file__).parents[1]
     [
         ("model=corsenet", "There is no model 'corsenet'; model can be coarsenet, grabnet, refinenet"),
         ("model.latnt_dim=3", "Unknown key 'model.latnt_dim' in model; did you mean latent_dim?"),
+        ("trainer.gradient_clip_val=1", "if its target takes it, write +trainer.gradient_clip_val=…"),
         ("model.latent_dim=abc", "model.latent_dim='abc' is of the wrong type: int is wanted."),
         ("data=frames", "The config value data.root must be given on the command line."),
         ("model.latent_dim=", "model.latent_dim='' is of the wrong type"),

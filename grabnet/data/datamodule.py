@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -35,6 +36,7 @@ class GraspDataModule(L.LightningDataModule):
         objects_dir: folder with one mesh per object, `<name>.ply` (or .obj, .stl, …), in place of the data set's own.
         val_objects, test_objects: names; every other object is for training (spec 3).
         batch_size: frames per step, of all processes together.
+        min_steps: of an epoch: few frames are gone through as often as that takes.
         object_points: surface samples per object.
         near_points: of these, how many nearest to the hand enter the object→hand loss (published: all).
         measure: hand→object distances are signed, to the "surface"; or unsigned, to the nearest of the "samples".
@@ -54,6 +56,7 @@ class GraspDataModule(L.LightningDataModule):
         test_objects: Sequence[str],
         objects_dir: str | None = None,
         batch_size: int = 256,
+        min_steps: int = 1,
         object_points: int = 2048,
         near_points: int = 128,
         measure: str = "surface",
@@ -70,7 +73,8 @@ class GraspDataModule(L.LightningDataModule):
         self.hand, self.store_dir = hand, Path(root) / "frames"
         self.objects_dir = Path(objects_dir) if objects_dir else Path(root) / OBJECT_MESHES
         self.val_objects, self.test_objects = set(val_objects), set(test_objects)
-        self.batch_size, self.object_points, self.near_points = batch_size, object_points, near_points
+        self.batch_size, self.min_steps = batch_size, min_steps
+        self.object_points, self.near_points = object_points, near_points
         self.measure, self.contact_distance, self.turn, self.max_frames = measure, contact_distance, turn, max_frames
         self.cache_dir, self.seed, self.prepare = cache_dir, seed, prepare
         self.assembler: BatchAssembler | None = None
@@ -153,7 +157,7 @@ class GraspDataModule(L.LightningDataModule):
             )
         if n < world_size:
             raise UserError(f"The {n} {split} frames are too few for {world_size} processes; set trainer.devices={n}.")
-        batches = IndexBatches(n, self.batch_size, shuffle, self.seed, rank, world_size)
+        batches = IndexBatches(n, self.batch_size, shuffle, self.seed, rank, world_size, self.min_steps)
         return DataLoader(_FrameNumbers(split), sampler=batches, batch_size=None)
 
     def on_after_batch_transfer(self, batch: tuple[str, Tensor, int], dataloader_idx: int) -> GraspBatch:
@@ -182,19 +186,32 @@ class GraspDataModule(L.LightningDataModule):
 class IndexBatches(Sampler[tuple[Tensor, int]]):
     """One process's share of batches of numbers 0 … n - 1, each with a seed for its step's noise.
 
-    Shuffled anew each epoch, in full batches of equal shares, what is left over dropped; or in order and complete, in
-    even pieces, as many in each process. All follows from seed and epoch alone, so that a resumed run goes on as an
-    unbroken one would.
+    Shuffled anew each epoch, in full batches of equal shares, what is left over dropped, and again until there are
+    `min_steps`; or once, in order and complete, in even pieces, as many in each process. All follows from seed and
+    epoch alone, so that a resumed run goes on as an unbroken one would.
 
     Args:
         n: numbers to hand out, at least one per process.
         batch_size: of all processes together, a multiple of their number.
         rank, world_size: which process this is, of how many.
+        min_steps: of an epoch, where shuffled.
     """
 
-    def __init__(self, n: int, batch_size: int, shuffle: bool, seed: int, rank: int = 0, world_size: int = 1):
+    def __init__(
+        self,
+        n: int,
+        batch_size: int,
+        shuffle: bool,
+        seed: int,
+        rank: int = 0,
+        world_size: int = 1,
+        min_steps: int = 1,
+    ):
         self.n, self.shuffle, self.seed, self.rank, self.world_size = n, shuffle, seed, rank, world_size
         self.share = min(batch_size, n) // world_size
+        per_process = n // world_size
+        self.steps = per_process // self.share if shuffle else -(-per_process // self.share)  # of a pass
+        self.passes = -(-min_steps // self.steps) if shuffle else 1
         self.epoch = 0
 
     def set_epoch(self, epoch: int) -> None:
@@ -202,20 +219,22 @@ class IndexBatches(Sampler[tuple[Tensor, int]]):
         self.epoch = epoch
 
     def __len__(self) -> int:
-        per_process = self.n // self.world_size
-        return per_process // self.share if self.shuffle else -(-per_process // self.share)
+        return self.steps * self.passes
 
     def __iter__(self) -> Iterator[tuple[Tensor, int]]:
-        if self.shuffle:
-            order = torch.randperm(self.n, generator=torch.Generator().manual_seed(hash((self.seed, self.epoch))))
-            batches = order[: len(self) * self.share * self.world_size].split(self.share * self.world_size)
-            pieces = [batch[self.rank :: self.world_size] for batch in batches]
-        else:
-            pieces = torch.arange(self.n)[self.rank :: self.world_size].tensor_split(len(self))
         # What is not shuffled meets the same noise in every epoch: its losses differ by the weights alone.
         epoch = self.epoch if self.shuffle else 0
+        pieces = chain.from_iterable(self._pieces(epoch * self.passes + k) for k in range(self.passes))
         for k, piece in enumerate(pieces):
             yield piece, hash((self.seed, epoch, k * self.world_size + self.rank))
+
+    def _pieces(self, number: int) -> Iterable[Tensor]:
+        """Of one pass, the `number`th since training began."""
+        if not self.shuffle:
+            return torch.arange(self.n)[self.rank :: self.world_size].tensor_split(self.steps)
+        order = torch.randperm(self.n, generator=torch.Generator().manual_seed(hash((self.seed, number))))
+        batches = order[: self.steps * self.share * self.world_size].split(self.share * self.world_size)
+        return [batch[self.rank :: self.world_size] for batch in batches]
 
 
 class _FrameNumbers(Dataset):

@@ -112,6 +112,18 @@ def test_shuffled_batches_cover_all_once_and_repeat_by_epoch():
     assert not torch.equal(torch.cat(first), torch.cat([index for index, _ in batches]))
 
 
+def test_an_epoch_of_many_steps_is_several_passes_each_in_its_own_order():
+    batches = IndexBatches(50, 16, shuffle=True, seed=4, min_steps=7)
+    steps = list(batches)
+    passes = [torch.cat([index for index, _ in steps[k : k + 3]]) for k in (0, 3, 6)]
+    assert len(batches) == len(steps) == 9 and len({seed for _, seed in steps}) == 9
+    assert all(len(order.unique()) == 48 for order in passes)
+    batches.set_epoch(1)
+    orders = {tuple(order.tolist()) for order in passes} | {tuple(i.tolist()) for i, _ in batches}
+    assert len(orders) == 3 + 9
+    assert len(IndexBatches(50, 16, shuffle=False, seed=4, min_steps=7)) == 4
+
+
 def test_evaluation_drops_no_frame():
     assert torch.cat([index for index, _ in IndexBatches(50, 16, shuffle=False, seed=0)]).tolist() == list(range(50))
 

@@ -39,7 +39,7 @@ def sample_bodies(n: int, seed: int) -> AdultBodies:
         import anny
     except ImportError:
         raise UserError(
-            'The open hand and body are made from anny, which is missing: pip install "grabnet[open-hand]".'
+            "The open hand and body are made from anny, which is missing: pip install -e '.[open-hand]'."
         ) from None
     import torch
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 
 import numpy as np
@@ -15,7 +14,7 @@ from grabnet.body.anatomy import JOINTS, Anatomy, boundary_loop
 from grabnet.body.hand import OPEN_HANDS, HandModel
 from grabnet.errors import UserError
 from grabnet.npz import read_npz
-from grabnet.open.hand.build import mirrored, right_hand
+from grabnet.open.hand.build import mirrored
 from grabnet.open.hand.decimate import decimate
 from grabnet.open.hand.flatten import FlatHands, flatten
 from grabnet.open.hand.knuckles import KNUCKLES, finger_shares, move_knuckles
@@ -236,18 +235,5 @@ def test_grasp_poses_keep_to_the_limits_and_their_components_are_orthonormal(ana
 
 def test_without_anny_one_sentence(monkeypatch):
     monkeypatch.setitem(sys.modules, "anny", None)
-    with pytest.raises(UserError, match="grabnet\\[open-hand\\]"):
+    with pytest.raises(UserError, match="open-hand"):
         sample_adults(1, 0)
-
-
-@pytest.mark.skipif(
-    importlib.util.find_spec("anny") is None, reason="anny isn't installed: pip install -e .[open-hand]"
-)
-def test_rebuilding_gives_the_shipped_hand():
-    rebuilt, report = right_hand(sample_adults(400, seed=0), seed=0)
-    shipped = read_npz(OPEN_HANDS / "MANO_RIGHT.npz")
-    np.testing.assert_array_equal(rebuilt["f"], shipped["f"])
-    for name in ("v_template", "weights", "J_regressor", "shapedirs"):
-        np.testing.assert_allclose(rebuilt[name], shipped[name], atol=1e-4, err_msg=name)
-    assert report.joint_error[0] < 0.5 and report.joint_error[1] < 2.5
-    assert report.shape_error[0] < 0.6
