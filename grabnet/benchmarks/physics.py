@@ -13,8 +13,8 @@ from grabnet.benchmarks.run import Benchmark
 from grabnet.benchmarks.scene import hands, meshes
 from grabnet.benchmarks.timing import Case
 from grabnet.evaluation.physics import Simulator
-from grabnet.evaluation.simulation import Simulation
 from grabnet.open.grasps.stability import StabilityConfig, cut
+from grabnet.physics.simulation import Simulation
 
 CONFIG = Path(__file__).parents[2] / "configs" / "evaluation" / "physics.yaml"
 
@@ -47,4 +47,5 @@ def cases(settings: Benchmark) -> list[Case]:
         Case("scenes alone", scenes),
         Case(f"grasptta, {pieces} pieces", lambda: simulator.grasptta(vertices), (lattice, "scenes alone")),
         Case(f"shake, {pieces} pieces", lambda: simulator.shake(vertices), ("scenes alone",), runs=3),
+        Case(f"both in one scene, {pieces} pieces", lambda: simulator.both(vertices), ("scenes alone",), runs=3),
     ]

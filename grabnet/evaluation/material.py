@@ -91,14 +91,15 @@ class Material:
     def training_keypoints(self) -> np.ndarray:
         """(M, 21, 3) of the training grasps, for `novelty`."""
 
+        # Where the hand is does not matter, but to rounding: always the same mesh's centroid, whatever is evaluated.
+        mesh = load_mesh(self.files[min(self.files)])
+
         def find() -> dict[str, np.ndarray]:
             names = self.data.objects_of("train", self.recorded_objects)
-            # Where the hand is does not matter: any mesh's centroid will do.
-            mesh = next(iter(self.meshes.values()))
             hands = [recorded_hands(self.store, self.hand, name, mesh) for name in names]
             return {"keypoints": np.concatenate([self.labels.keypoints(h) for h in hands])}
 
-        return self.cache.get("keypoints", self.fingerprint, find)["keypoints"]
+        return self.cache.get("keypoints", [*self.fingerprint, mesh.sha256], find)["keypoints"]
 
 
 @dataclass(frozen=True)

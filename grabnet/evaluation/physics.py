@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +13,22 @@ from numpy.typing import ArrayLike
 
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
-from grabnet.evaluation.decomposition import DecompositionConfig, convex_pieces
-from grabnet.evaluation.hand_pieces import hand_pieces
-from grabnet.evaluation.simulation import Dynamics, RigidBody, Simulation, SimulationError
 from grabnet.geometry.mesh import Mesh
+from grabnet.physics.decomposition import DecompositionConfig, convex_pieces
+from grabnet.physics.hand_pieces import hand_pieces
+from grabnet.physics.simulation import Dynamics, RigidBody, Simulation, SimulationError
 
-# What physics needs beside what every task does: pip's extra of that name.
-_EXTRA = ("mujoco", "coacd")
+
+def engines() -> dict[str, str]:
+    """Versions of what simulates, on which results depend.
+
+    Raises:
+        UserError: any of it isn't installed.
+    """
+    try:
+        return {name: version(name) for name in ("mujoco", "coacd")}
+    except PackageNotFoundError as error:
+        raise UserError(f"Simulation needs {error.name}: pip install -e '.[evaluation]'.") from None
 
 
 @dataclass(frozen=True)
@@ -61,9 +71,9 @@ class Outcome:
     """What became of one grasp.
 
     Attributes:
-        displacement_cm: how far the object's centre of mass moved; of several directions of gravity, the farthest. A
-            direction ends within ten steps of its protocol's limit, so that beyond it this says only that it fell.
-            None where the simulation failed.
+        displacement_cm: how far the object's centre of mass moved; of several directions of gravity, the farthest. The
+            simulation ends within ten steps of its protocol's limit, whatever directions are left, so that beyond it
+            this says only that it fell. None where the simulation failed.
         success: whether it stayed below the limit in all directions; None where there is no limit, or it failed.
         failure: why the simulation failed, or None.
     """
@@ -86,12 +96,12 @@ class Simulator:
         cache_dir: of convex pieces; default `$GRABNET_CACHE`, else `grabnet` in the user's cache folder.
 
     Raises:
-        UserError: the mesh can't be cut into convex pieces, or what simulates isn't installed.
+        DecompositionError: the mesh can't be cut into convex pieces.
+        UserError: what simulates isn't installed.
     """
 
     def __init__(self, mesh: Mesh, hand: HandModel, config: PhysicsConfig, cache_dir: str | Path | None = None):
-        if missing := [name for name in _EXTRA if find_spec(name) is None]:
-            raise UserError(f"Simulation needs {' and '.join(missing)}: pip install -e '.[evaluation]'.")
+        engines()
         self.config = config
         self.body = RigidBody.of_pieces(convex_pieces(mesh, config.decomposition, cache_dir))
         self.n_vertices = len(hand.v_template)
@@ -108,7 +118,7 @@ class Simulator:
             UserError: hands of other than the hand model's vertices.
         """
         down = -np.broadcast_to(up, (len(vertices), 3))
-        return self._outcomes(self.config.grasptta, vertices, down[:, None])
+        return [outcome for (outcome,) in self._outcomes(vertices, [(self.config.grasptta, down[:, None])])]
 
     def shake(self, vertices: np.ndarray) -> list[Outcome]:
         """Let go for a second six times, with gravity along either direction of each axis of the mesh's frame.
@@ -116,26 +126,49 @@ class Simulator:
         Args, Raises:
             as `grasptta`.
         """
-        six = np.concatenate([np.eye(3), -np.eye(3)])
-        return self._outcomes(self.config.shake, vertices, np.broadcast_to(six, (len(vertices), 6, 3)))
+        return [outcome for (outcome,) in self._outcomes(vertices, [(self.config.shake, self._six(vertices))])]
 
-    def _outcomes(self, protocol: Protocol, vertices: np.ndarray, directions: np.ndarray) -> list[Outcome]:
-        """Args: directions (B, D, 3), unit vectors along which gravity pulls in turn."""
+    def both(self, vertices: np.ndarray) -> list[list[Outcome]]:
+        """`grasptta`, z being up, and `shake` of each grasp, in less time than one after the other.
+
+        Args, Raises:
+            as `grasptta`.
+        """
+        down = np.broadcast_to((0.0, 0.0, -1.0), (len(vertices), 1, 3))
+        return self._outcomes(vertices, [(self.config.grasptta, down), (self.config.shake, self._six(vertices))])
+
+    def _six(self, vertices: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(np.concatenate([np.eye(3), -np.eye(3)]), (len(vertices), 6, 3))
+
+    def _outcomes(self, vertices: np.ndarray, runs: Sequence[tuple[Protocol, np.ndarray]]) -> list[list[Outcome]]:
+        """Args: runs: protocols, each with directions (B, D, 3), unit vectors along which gravity pulls in turn."""
         if vertices.ndim != 3 or vertices.shape[1:] != (self.n_vertices, 3):
             raise UserError(
                 f"Hands of shape {vertices.shape} can't be simulated: their vertices must be the {self.n_vertices} of "
                 "the hand model, whose skinning weights tell which belong to which bone; name another hand_model."
             )
-        return [self._outcome(protocol, *grasp) for grasp in zip(vertices, directions, strict=True)]
+        return [
+            self._of_grasp(hand, [(protocol, directions[i]) for protocol, directions in runs])
+            for i, hand in enumerate(vertices)
+        ]
 
-    def _outcome(self, protocol: Protocol, hand: np.ndarray, directions: np.ndarray) -> Outcome:
-        limit = math.inf if protocol.limit is None else protocol.limit
+    def _of_grasp(self, hand: np.ndarray, runs: Sequence[tuple[Protocol, np.ndarray]]) -> list[Outcome]:
         try:
-            simulation = Simulation(self.body, [hand[piece] for piece in self.pieces], protocol.dynamics)
-            moved = max(
-                simulation.let_go(protocol.gravity * direction, protocol.steps, limit).displacement
-                for direction in directions
-            )
+            simulation = Simulation(self.body, [hand[piece] for piece in self.pieces], runs[0][0].dynamics)
+        except SimulationError as error:
+            return [Outcome(None, None, str(error))] * len(runs)
+        return [self._outcome(simulation, *run) for run in runs]
+
+    def _outcome(self, simulation: Simulation, protocol: Protocol, directions: np.ndarray) -> Outcome:
+        limit = math.inf if protocol.limit is None else protocol.limit
+        simulation.dynamics = protocol.dynamics
+        farthest = 0.0
+        try:
+            for direction in directions:
+                moved = simulation.let_go(protocol.gravity * direction, protocol.steps, limit).displacement
+                farthest = max(farthest, moved)
+                if farthest >= limit:
+                    break
         except SimulationError as error:
             return Outcome(None, None, str(error))
-        return Outcome(100 * moved, None if protocol.limit is None else moved < limit)
+        return Outcome(100 * farthest, None if protocol.limit is None else farthest < limit)

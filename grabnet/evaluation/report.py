@@ -37,7 +37,8 @@ class Findings:
     Attributes:
         rows: methods, in the order of the tables. objects: meshes by name. metrics: in order.
         figures: numbers of the tables. errors: of reconstruction.
-        surprises: sentences on rows that come out in the wrong order. split: of the objects.
+        surprises: sentences on rows that come out in the wrong order. failures: on simulations that failed.
+        split: of the objects.
         record: what all was made with, ready for JSON.
     """
 
@@ -47,6 +48,7 @@ class Findings:
     figures: Sequence[Figure]
     errors: Sequence[Errors]
     surprises: Sequence[str]
+    failures: Sequence[str]
     split: str
     record: dict[str, Any]
 
@@ -102,16 +104,17 @@ def _glance(findings: Findings) -> str:
         f"<dt>{_dot(k)}{escape(row.name)}</dt><dd>{escape(row.about)}</dd>" for k, row in enumerate(findings.rows)
     )
     if findings.surprises:
-        told = "".join(f"<li>{escape(sentence)}</li>" for sentence in findings.surprises)
         order = (
             "<div class=warning><b>Where the order of the rows does not make sense.</b> Expected is: ground truth, "
-            f"then the refined grasps, then CoarseNet's, then the naive baseline.<ul>{told}</ul></div>"
+            f"then the refined grasps, then CoarseNet's, then the naive baseline.{_list(findings.surprises)}</div>"
         )
     else:
         order = (
             "<div class=fine>The rows come out in the order that they should (ground truth, refined, CoarseNet, naive "
             "baseline) wherever they differ by more than chance.</div>"
         )
+    if findings.failures:
+        order += f"<div class=warning><b>What could not be simulated.</b>{_list(findings.failures)}</div>"
     return (
         f"<dl class=rows>{rows}</dl>{_plain_table(findings, chosen)}{order}"
         f"{_image(intervals(findings.figures, findings.rows, chosen), 'values and intervals by row')}"
@@ -189,7 +192,9 @@ def _field(findings: Findings) -> str:
     protocols = ("halo", "grasptta", "shake", "penetration", "diversity")
     summary = _plain_table(findings, findings.of(*protocols))
     each = "".join(
-        _by_object(findings, metric) for metric in findings.of("halo", "grasptta", "shake") if metric.name != "contact"
+        _by_object(findings, metric)
+        for metric in findings.of("halo", "grasptta", "shake")
+        if metric.name not in ("contact", "failed")  # what failed is told in words
     )
     head = "".join(f"<th>{h}</th>" for h in ("volume [cm³]", "contact [%]", "displacement [cm]", "cluster size [cm]"))
     lines = [f"<tr><th class=metric>reported by others</th>{head}</tr>"]
@@ -266,6 +271,10 @@ def _cell(estimate: Any) -> str:
         return "<td>–</td>"
     low, high = estimate.interval
     return f"<td>{digits(estimate.value)}<small>{digits(low)} … {digits(high)}</small></td>"
+
+
+def _list(sentences: Iterable[str]) -> str:
+    return f"<ul>{''.join(f'<li>{escape(sentence)}</li>' for sentence in sentences)}</ul>"
 
 
 def _table(lines: Iterable[str]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -19,7 +20,7 @@ from grabnet.evaluation.fingers import FingerContact, vertex_areas
 from grabnet.evaluation.grasptta import GraspTTA
 from grabnet.evaluation.ground_truth import CLOSEST_MAP, ClosestHand, closest_map_error, same_sequence
 from grabnet.evaluation.halo import Halo
-from grabnet.evaluation.holding import Holding
+from grabnet.evaluation.holding import Holding, reasons
 from grabnet.evaluation.material import Material, Networks
 from grabnet.evaluation.measuring import Task, measured
 from grabnet.evaluation.metrics import Metric
@@ -56,6 +57,7 @@ def evaluate(wanted: Evaluation) -> None:
         figures=found,
         errors=_reconstruction(material, networks),
         surprises=surprises(found, rows, metrics),
+        failures=_failures(rows, material.objects),
         split=wanted.split,
         record=_record(material, networks),
     )
@@ -69,6 +71,8 @@ def evaluate(wanted: Evaluation) -> None:
             folder = output / "contact" / re.sub("[^a-z0-9]+", "_", row.name.lower()).strip("_")
             write_maps(folder, name, material.meshes[name], hands, row.results[name]["maps"], wanted.scenes)
     write_report(output / "report.html", findings, wanted.pictures, material.cache)
+    for sentence in findings.failures:
+        print(sentence)
     print(
         f"{output / 'report.html'} shows what was found; figures are in metrics.json, metrics.csv and tables.tex there"
     )
@@ -86,18 +90,21 @@ def _measure(material: Material, rows: Sequence[Row]) -> list[Metric]:
         Posture(labels),
         maps,
     ]
-    holding = Holding(material.hand, instantiate(wanted.physics), wanted.cache_dir, wanted.simulated)
+    simulations = []
+    if wanted.simulated:
+        simulations = [Holding(material.hand, instantiate(wanted.physics), wanted.cache_dir, wanted.simulated)]
     closest = {name: ClosestHand(hands, wanted.vertex_samples) for name, hands in material.truth.items()}
     places = [(row, name) for name in material.objects for row in rows if name in row.hands]
     tasks = [Task(material.meshes[n], row.hands[n], [*protocols, closest[n]]) for row, n in places]
     tasks += [Task(material.meshes[name], hands, [maps]) for name, hands in material.truth.items()]
-    if wanted.simulated:
+    for holding in simulations:
+        holding.prepare(list(material.meshes.values()), wanted.processes)
         first = slice(wanted.simulated)
         tasks += [Task(material.meshes[name], row.hands[name].select(first), [holding]) for row, name in places]
     results = measured(tasks, material.cache, wanted.processes)
     true_maps = dict(zip(material.truth, results[len(places) :], strict=False))
     for found, simulated in zip(results, results[len(places) + len(true_maps) :], strict=False):
-        for title, values in simulated[holding.name].items():
+        for title, values in simulated[Holding.name].items():
             protocol, _, metric = title.partition("/")
             found.setdefault(protocol, {})[metric] = values
     for (row, name), found in zip(places, results, strict=False):
@@ -120,8 +127,19 @@ def _measure(material: Material, rows: Sequence[Row]) -> list[Metric]:
         if all(p is not None for p in points):
             row.clusters = diversity.cluster(np.concatenate(points), wanted.seed)
     contact = Metric("table2", "contact", "%", CLOSEST_MAP, "lower", wanted.contact_samples)
-    first, *rest = [metric for p in (next(iter(closest.values())), *protocols, holding) for metric in p.metrics]
+    first, *rest = [metric for p in (next(iter(closest.values())), *protocols, *simulations) for metric in p.metrics]
     return [first, contact, *rest, *diversity.METRICS]
+
+
+def _failures(rows: Sequence[Row], objects: Sequence[str]) -> list[str]:
+    """A sentence for every object and reason for which simulations failed."""
+    sentences = []
+    for name in objects:
+        found = [row.results.get(name, {}).get(Holding.name) for row in rows]
+        told = [reason for of_row in found if of_row for reason in reasons(of_row["reason"])]
+        for reason, count in Counter(filter(None, told)).most_common():
+            sentences.append(f"{name}: the simulation of {count} of {len(told)} grasps failed: {reason}")
+    return sentences
 
 
 def _reconstruction(material: Material, networks: Networks) -> list[Errors]:

@@ -51,7 +51,7 @@ def digits(value: float) -> str:
 
 def write_json_tables(path: Path, findings: Findings) -> None:
     """`metrics.json`: each metric's protocol, unit, definition and values by row and object, with bounds of the 95 %
-    interval and the number of grasps; reconstruction; rows in the wrong order; what all was made with."""
+    interval and the number of grasps; reconstruction; rows in the wrong order; failures; what all was made with."""
     metrics: dict[str, Any] = {}
     for figure in findings.figures:
         metric = figure.metric
@@ -68,6 +68,7 @@ def write_json_tables(path: Path, findings: Findings) -> None:
             "metrics": metrics,
             "reconstruction": [error._asdict() for error in findings.errors],
             "unexpected_order": findings.surprises,
+            "failed_simulations": findings.failures,
             **findings.record,
         },
     )

@@ -5,7 +5,9 @@ import time
 from pathlib import Path
 
 import pytest
+from omegaconf import OmegaConf
 
+from grabnet.benchmarks.physics import CONFIG
 from grabnet.benchmarks.run import SUITES, Benchmark
 from grabnet.benchmarks.timing import Case, measure
 from grabnet.errors import UserError
@@ -40,10 +42,14 @@ def test_the_first_run_does_not_count():
     assert timing.upper < 0.1
 
 
-@pytest.mark.parametrize("suite", ["hand", "bps", "contact", "volume"])
+@pytest.mark.parametrize("suite", ["hand", "bps", "contact", "volume", "physics"])
 def test_suites_write_their_figures(tmp_path, monkeypatch, suite):
     monkeypatch.setenv("GRABNET_CACHE", str(tmp_path))
     monkeypatch.setattr("grabnet.benchmarks.volume.SPACING", 0.004)  # the plain way takes seconds
+    physics = OmegaConf.load(CONFIG)
+    physics.shake.steps, physics.decomposition.resolution, physics.decomposition.iterations = 20, 100, 3
+    OmegaConf.save(physics, tmp_path / "physics.yaml")
+    monkeypatch.setattr("grabnet.benchmarks.physics.CONFIG", tmp_path / "physics.yaml")
     Benchmark(**(SETTINGS | {"suite": suite, "output": str(tmp_path / "bench.json")})).run()
     report = json.loads((tmp_path / "bench.json").read_text())
     assert {"timings", "settings", "threads", "versions", "made"} <= report.keys()

@@ -251,6 +251,43 @@ def test_grasps_of_other_methods(call, made):
     assert "meshes" not in found["metrics"]["posture/violations"]["values"]
 
 
+def test_hands_far_away_and_tiny_ones_give_zeros(call, made, tmp_path):
+    for name, scale, offset in (("far", 1.0, 1.0), ("tiny", 0.01, 0.2)):
+        (tmp_path / name / "ring").mkdir(parents=True)
+        for i in range(2):
+            mesh = trimesh.load(made / "meshes" / "ring" / f"hand_{i + 1}.ply", process=False)
+            mesh.vertices = scale * mesh.vertices + offset
+            mesh.export(tmp_path / name / "ring" / f"{i}.ply")
+    found = results(call(f"grasps=[{tmp_path / 'far'},{tmp_path / 'tiny'}]", "simulated=2"))
+    none = ["halo/volume", "halo/depth", "halo/contact", "grasptta/volume", "grasptta/contact", "contact/area"]
+    none += ["contact/fingers", "contact/pinched", "penetration/max", "penetration/mean", "shake/success"]
+    none += ["shake/failed", "grasptta/failed"]
+    for row in ("far", "tiny"):
+        assert {name: found["metrics"][name]["values"][row]["all"]["value"] for name in none} == dict.fromkeys(none, 0)
+        assert found["metrics"]["grasptta/displacement"]["values"][row]["all"]["value"] == pytest.approx(
+            10.73, abs=0.01
+        )
+    assert found["failed_simulations"] == []
+
+
+def test_an_object_that_cannot_be_cut_is_told_and_the_rest_goes_on(call, made, capsys):
+    """CoACD has a second: enough for the can, which is convex, and not for the ring."""
+    shutil.copytree(made / "parameters" / "ring", made / "parameters" / "can")
+    endless = [f"physics.decomposition.{name}" for name in ("time_limit=2", "nodes=50", "iterations=100000")]
+    objects = ["data.test_objects=[ring,can]", "data.val_objects=[]"]
+    output = call(f"grasps={made / 'parameters'}", "simulated=2", *endless, *objects)
+    found = results(output)
+    (told,) = found["failed_simulations"]
+    assert re.match(r"ring: the simulation of 6 of 6 grasps failed: .*not done after 2 s", told)
+    assert told in (output / "report.html").read_text(encoding="utf-8").replace("&#x27;", "'")
+    assert told in capsys.readouterr().out
+    values = {name: found["metrics"][name]["values"]["parameters"] for name in ("shake/failed", "shake/displacement")}
+    assert values["shake/failed"]["ring"]["value"] == 100
+    assert values["shake/failed"]["can"]["value"] == 0
+    assert set(values["shake/displacement"]) == {"can", "all"}
+    assert found["metrics"]["halo/volume"]["values"]["parameters"]["ring"]["n"] == 3
+
+
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from grabnet.evaluation.simulation import Dynamics, RigidBody, Simulation, SimulationError
 from grabnet.geometry.mesh import Mesh
+from grabnet.physics.simulation import Dynamics, RigidBody, Simulation, SimulationError
 
 _GRAVITY = (0.0, 0.0, -9.81)
 
@@ -31,7 +31,7 @@ class StabilityConfig:
 def cut(mesh: Mesh, thickness: np.ndarray, config: StabilityConfig) -> RigidBody:
     """A closed mesh cut into convex cells by a lattice; within a cell's size hollows stay hollow.
 
-    Convex decomposition (`grabnet.evaluation.decomposition`) gives fewer pieces, but takes a quarter of a minute an
+    Convex decomposition (`grabnet.physics.decomposition`) gives fewer pieces, but takes a quarter of a minute an
     object and fills hollows as much.
 
     Args:

@@ -16,8 +16,6 @@ from torch import Tensor
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
-from grabnet.evaluation.hand_pieces import hand_pieces
-from grabnet.evaluation.simulation import RigidBody
 from grabnet.open.grasps.checks import AcceptanceConfig, Measures, measure, verdicts
 from grabnet.open.grasps.energy import EnergyConfig
 from grabnet.open.grasps.optimise import OptimiserConfig, optimise
@@ -28,6 +26,8 @@ from grabnet.open.grasps.scene import Scene
 from grabnet.open.grasps.stability import StabilityConfig, cut, holds
 from grabnet.open.grasps.templates import Template, TemplateConfig, build_templates
 from grabnet.open.objects import OBJECTS
+from grabnet.physics.hand_pieces import hand_pieces
+from grabnet.physics.simulation import RigidBody
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ import pytest
 import torch
 import trimesh
 
-from grabnet.evaluation.hand_pieces import hand_pieces
-from grabnet.evaluation.simulation import RigidBody
 from grabnet.geometry.mesh import Mesh
 from grabnet.open.grasps.posing import GraspPose
 from grabnet.open.grasps.stability import StabilityConfig, cut, displacement, holds
+from grabnet.physics.hand_pieces import hand_pieces
+from grabnet.physics.simulation import RigidBody
 
 pytest.importorskip("mujoco")
 CONFIG = StabilityConfig()

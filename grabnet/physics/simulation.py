@@ -100,6 +100,25 @@ class Simulation:
             self._data = mujoco.MjData(self._model)
         except (ValueError, RuntimeError, mujoco.FatalError) as error:
             raise SimulationError(_in_one_line(error)) from None
+        self._dynamics = dynamics
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """Constants of what follows: setting them costs less than another scene."""
+        return self._dynamics
+
+    @dynamics.setter
+    def dynamics(self, dynamics: Dynamics) -> None:
+        import mujoco
+
+        model, share = self._model, dynamics.mass / self._dynamics.mass
+        model.opt.timestep = dynamics.timestep
+        model.geom_friction[:, 0] = dynamics.friction
+        if share != 1:
+            model.body_mass[1] *= share
+            model.body_inertia[1] *= share
+            mujoco.mj_setConst(model, self._data)
+        self._dynamics = dynamics
 
     def let_go(self, gravity: Sequence[float], steps: int, limit: float = np.inf) -> Motion:
         """Motion of the object from rest at its own frame.

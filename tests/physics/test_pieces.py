@@ -15,10 +15,11 @@ from omegaconf import OmegaConf
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
-from grabnet.evaluation.decomposition import DecompositionConfig, convex_pieces, decomposed
-from grabnet.evaluation.hand_pieces import hand_pieces
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
+from grabnet.physics.coacd_process import CoacdError, cut
+from grabnet.physics.decomposition import DecompositionConfig, DecompositionError, convex_pieces, decomposed
+from grabnet.physics.hand_pieces import hand_pieces
 
 pytest.importorskip("coacd")
 
@@ -67,6 +68,22 @@ def test_pieces_are_the_same_each_time_and_kept(torus, tmp_path):
     for again in (convex_pieces(torus, CONFIG, tmp_path), decomposed(torus, CONFIG)):
         assert all(np.array_equal(a, b) for a, b in zip(built, again, strict=True))
     assert file.stat().st_mtime_ns == written
+
+
+def test_what_takes_too_long_is_refused_and_that_is_kept(torus, tmp_path):
+    endless = replace(CONFIG, resolution=10_000, nodes=50, iterations=100_000, time_limit=1)
+    with pytest.raises(DecompositionError, match=r"1024 faces isn't cut: CoACD was not done after 1 s; repair it"):
+        convex_pieces(torus, endless, tmp_path)
+    (file,) = tmp_path.iterdir()
+    written = file.stat().st_mtime_ns
+    with pytest.raises(DecompositionError, match="not done after 1 s"):
+        convex_pieces(torus, endless, tmp_path)
+    assert file.stat().st_mtime_ns == written
+
+
+def test_a_crash_of_coacd_ends_nothing_else():
+    with pytest.raises(CoacdError, match="CoACD ended with code"):
+        cut(np.eye(3), np.array([[0, 1, 1_000_000_000]], np.int32), 30, preprocess_mode="off")
 
 
 def test_a_damaged_cache_is_rebuilt_with_a_warning(tmp_path):

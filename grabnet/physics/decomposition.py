@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pyvista
-from safetensors.numpy import load_file, save_file
+from safetensors import safe_open
+from safetensors.numpy import save_file
 from scipy.spatial import ConvexHull, QhullError
 
 from grabnet.cache import default_cache, load_or_build
@@ -19,9 +20,14 @@ from grabnet.files import replacing, sha256
 from grabnet.geometry.intersections import MovingMesh, find_crossings
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
+from grabnet.physics.coacd_process import CoacdError, cut
 
 # Part of the cache key: raise it when the same mesh, config and version of CoACD would give other pieces.
-FORMAT = 1
+FORMAT = 2
+
+
+class DecompositionError(ValueError):
+    """A mesh can't be cut into convex pieces; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -40,26 +46,40 @@ class DecompositionConfig:
     nodes: int
     iterations: int
     seed: int
+    time_limit: float
 
     def __post_init__(self):
         if not 0.01 <= self.concavity <= 1:
             raise UserError(f"decomposition.concavity={self.concavity} is out of range; it can be 0.01 to 1.")
-        least = {"max_faces": 100, "max_corners": 32, "resolution": 1, "nodes": 1, "iterations": 1}
+        least = {"max_faces": 100, "max_corners": 32, "resolution": 1, "nodes": 1, "iterations": 1, "time_limit": 1}
         for name, lowest in least.items():
             if (value := getattr(self, name)) < lowest:
                 raise UserError(f"decomposition.{name}={value} is too small; it must be at least {lowest}.")
 
 
 def convex_pieces(mesh: Mesh, config: DecompositionConfig, cache_dir: str | Path | None = None) -> list[np.ndarray]:
-    """The pieces of `decomposed` from the cache, or found and put there.
+    """The pieces of `decomposed` from the cache, or found and put there; that there are none is kept, too.
 
     Args:
         cache_dir: default `$GRABNET_CACHE`, else `grabnet` in the user's cache folder.
+
+    Raises:
+        DecompositionError: as `decomposed`.
     """
     settings = json.dumps(asdict(config), sort_keys=True)
     key = sha256(mesh.sha256, settings, version("coacd"), str(FORMAT))
     path = Path(cache_dir or default_cache()) / f"pieces-{key[:32]}.safetensors"
-    return load_or_build(path, _load, lambda: decomposed(mesh, config), _save)
+
+    def build() -> _Found:
+        try:
+            return _Found(decomposed(mesh, config), None)
+        except DecompositionError as error:
+            return _Found([], str(error))
+
+    found = load_or_build(path, _load, build, _save)
+    if found.refusal:
+        raise DecompositionError(found.refusal)
+    return found.pieces
 
 
 def decomposed(mesh: Mesh, config: DecompositionConfig) -> list[np.ndarray]:
@@ -69,28 +89,29 @@ def decomposed(mesh: Mesh, config: DecompositionConfig) -> list[np.ndarray]:
     ones. The same mesh and config give the same pieces.
 
     Raises:
-        UserError: CoACD finds no pieces.
+        DecompositionError: CoACD finds no pieces, or not in time.
     """
-    import coacd  # here: an extra
-
-    coacd.set_log_level("error")
     solid = _solid(mesh, config.max_faces)
     surface = solid or mesh
-    parts = coacd.run_coacd(
-        coacd.Mesh(surface.vertices.astype(np.float64), surface.faces),
-        threshold=config.concavity,
-        preprocess_mode="off" if solid else "on",
-        preprocess_resolution=config.remeshing,
-        resolution=config.resolution,
-        mcts_nodes=config.nodes,
-        mcts_iterations=config.iterations,
-        seed=config.seed,
-    )
+    try:
+        parts = cut(
+            surface.vertices,
+            surface.faces,
+            config.time_limit,
+            threshold=config.concavity,
+            preprocess_mode="off" if solid else "on",
+            preprocess_resolution=config.remeshing,
+            resolution=config.resolution,
+            mcts_nodes=config.nodes,
+            mcts_iterations=config.iterations,
+            seed=config.seed,
+        )
+    except CoacdError as error:
+        raise DecompositionError(f"This mesh of {len(mesh.faces)} faces isn't cut: {error}; repair it.") from None
     directions = _directions(config.max_corners)
-    found = [_corners(np.asarray(vertices, np.float32), directions) for vertices, _ in parts]
-    pieces = [corners for corners in found if corners is not None]
+    pieces = [corners for part in parts if (corners := _corners(part, directions)) is not None]
     if not pieces:
-        raise UserError(f"CoACD finds no convex pieces in this mesh of {len(mesh.faces)} faces; repair or remesh it.")
+        raise DecompositionError(f"CoACD finds no convex pieces in this mesh of {len(mesh.faces)} faces; repair it.")
     return pieces
 
 
@@ -140,14 +161,24 @@ def _directions(n: int) -> np.ndarray:
     return np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], 1).astype(np.float32)
 
 
-def _save(pieces: Sequence[np.ndarray], path: Path) -> None:
+class _Found(NamedTuple):
+    """Pieces, or why there are none."""
+
+    pieces: list[np.ndarray]
+    refusal: str | None
+
+
+def _save(found: _Found, path: Path) -> None:
+    counts = np.array([len(piece) for piece in found.pieces], np.int64)
+    corners = np.concatenate([np.empty((0, 3), np.float32), *found.pieces])
     with replacing(path) as temporary:
-        save_file({"corners": np.concatenate(pieces), "counts": np.array([len(p) for p in pieces])}, temporary)
+        save_file({"corners": corners, "counts": counts}, temporary, {"refusal": found.refusal or ""})
 
 
-def _load(path: Path) -> list[np.ndarray]:
-    stored = load_file(path)
-    corners, counts = stored["corners"], stored["counts"]
+def _load(path: Path) -> _Found:
+    with safe_open(path, "np") as file:
+        refusal = file.metadata()["refusal"]
+        corners, counts = file.get_tensor("corners"), file.get_tensor("counts")
     if corners.dtype != np.float32 or corners.shape != (counts.sum(), 3) or not (counts >= 4).all():
         raise ValueError(f"corners {corners.dtype} {corners.shape} of {counts.shape} pieces")
-    return np.split(corners, np.cumsum(counts)[:-1])
+    return _Found(np.split(corners, np.cumsum(counts)[:-1]) if len(counts) else [], refusal or None)
