@@ -20,9 +20,6 @@ from grabnet.open.grasps.store import load_open_grasps
 from grabnet.open.objects import build_object
 from grabnet.physics.simulation import Simulation
 
-pytest.importorskip("mujoco")
-pytest.importorskip("coacd")
-
 ROOT = Path(__file__).parents[2]
 CONFIG: PhysicsConfig = instantiate(OmegaConf.load(ROOT / "configs/evaluation/physics.yaml"))
 GRASPTTA = CONFIG.grasptta

@@ -21,8 +21,6 @@ from grabnet.physics.coacd_process import CoacdError, cut
 from grabnet.physics.decomposition import DecompositionConfig, DecompositionError, convex_pieces, decomposed
 from grabnet.physics.hand_pieces import hand_pieces
 
-pytest.importorskip("coacd")
-
 SHIPPED: DecompositionConfig = instantiate(
     OmegaConf.load(Path(__file__).parents[2] / "configs/evaluation/physics.yaml").decomposition
 )

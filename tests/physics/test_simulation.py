@@ -10,8 +10,6 @@ import pytest
 
 from grabnet.physics.simulation import Dynamics, RigidBody, Simulation, SimulationError
 
-pytest.importorskip("mujoco")
-
 STANDARD = Dynamics(friction=3.0, mass=1.0, timestep=1 / 240)
 GRAVITY = 9.81
 DOWN = np.array([0.0, 0.0, -GRAVITY])

@@ -14,7 +14,6 @@ from grabnet.open.grasps.stability import StabilityConfig, cut, displacement, ho
 from grabnet.physics.hand_pieces import hand_pieces
 from grabnet.physics.simulation import RigidBody
 
-pytest.importorskip("mujoco")
 CONFIG = StabilityConfig()
 
 

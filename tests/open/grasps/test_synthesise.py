@@ -13,7 +13,6 @@ from grabnet.open.grasps.posing import GraspHand
 from grabnet.open.grasps.scene import Scene, part
 from grabnet.open.grasps.synthesise import GENDERS, SynthesisConfig, grasp_object, subject_betas
 
-pytest.importorskip("mujoco")
 CONFIG = replace(SynthesisConfig(), per_object=10, batch=24, max_rounds=3, optimiser=OptimiserConfig(iterations=45))
 
 
