@@ -15,7 +15,8 @@ class Case:
     """One thing to time.
 
     run: does it once. baselines: names of the cases it is compared with, which do the same in a plainer way, or a
-    part of it. runs: at most so many, for what takes long. frames: that one run works on, to tell a rate.
+    part of it. runs: at most so many, for what takes long. frames: that one run works on, to tell a rate; the ratio of
+    cases that both have them is that of their times per frame.
     """
 
     name: str
@@ -57,16 +58,17 @@ def measure(cases: Sequence[Case], runs: int) -> list[Timing]:
                 torch.cuda.synchronize()
             if turn:
                 seconds[case.name].append(time.perf_counter() - start)
-    return [_timing(case, seconds) for case in cases]
+    frames = {case.name: case.frames for case in cases}
+    return [_timing(case, seconds, frames) for case in cases]
 
 
-def _timing(case: Case, seconds: dict[str, list[float]]) -> Timing:
+def _timing(case: Case, seconds: dict[str, list[float]], frames: dict[str, int | None]) -> Timing:
     own = seconds[case.name]
     lower, median, upper = statistics.quantiles(own, n=4, method="inclusive")
-    ratios = {
+    ratios = {}
+    for name in case.baselines:
+        of_frames = frames[name] / case.frames if case.frames and frames[name] else 1
         # Of runs in the same turn; one of the two may have taken part in fewer.
-        name: statistics.median(a / b for a, b in zip(own, seconds[name], strict=False))
-        for name in case.baselines
-    }
+        ratios[name] = of_frames * statistics.median(a / b for a, b in zip(own, seconds[name], strict=False))
     rate = None if case.frames is None else case.frames / median
     return Timing(case.name, len(own), median, lower, upper, ratios, rate)

@@ -36,6 +36,16 @@ def test_medians_and_ratios_tell_what_was_slept():
     assert slow.runs == 5
 
 
+def test_ratios_are_per_frame_where_frames_are_counted():
+    one, ten = (
+        Case("one", lambda: time.sleep(0.02), frames=1),
+        Case("ten", lambda: time.sleep(0.02), ("one",), frames=10),
+    )
+    slow, fast = measure([one, ten], runs=3)
+    assert fast.ratios["one"] == pytest.approx(0.1, rel=0.5)
+    assert fast.frames_per_second == pytest.approx(10 * slow.frames_per_second, rel=0.5)
+
+
 def test_the_first_run_does_not_count():
     delays = iter([0.5, 0, 0, 0])
     (timing,) = measure([Case("compiles first", lambda: time.sleep(next(delays)))], runs=3)
