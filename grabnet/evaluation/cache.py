@@ -15,7 +15,7 @@ from grabnet.cache import load_or_build
 from grabnet.files import replacing, sha256
 
 # Part of every key: raise it when the same content and settings would give other results.
-FORMAT = 1
+FORMAT = 2
 
 Arrays = dict[str, np.ndarray]
 

@@ -181,11 +181,22 @@ class ContactAnnotator:
         first, last = np.ones(len(own), bool), np.ones(len(own), bool)
         first[1:] = last[:-1] = edge[1:] != edge[:-1]
         # An edge starts inside if it first leaves the body, and ends inside if it last enters it.
-        seeds = []
-        for end, at, inside in ((0, own[first], False), (1, own[last], True)):
-            at = at[counting[crossings.ring[at]] & (crossings.entering[at] == inside)]
-            seeds.append(self.thing.edges[crossings.edge[at], end])
-        return self._around.flood(np.concatenate(seeds), edge)
+        inside, outside = [], []
+        for end, at, leads_in in ((0, own[first], False), (1, own[last], True)):
+            at = at[counting[crossings.ring[at]]]
+            ends, is_in = self.thing.edges[crossings.edge[at], end], crossings.entering[at] == leads_in
+            inside.append(ends[is_in])
+            outside.append(ends[~is_in])
+        inside, outside = np.concatenate(inside), np.concatenate(outside)
+        reached = self._around.flood(inside, edge)
+        if reached[outside].any():
+            # Of a body turned inside out in places, as hands of networks are, edges contradict each other: most decide.
+            uncut = np.ones(len(self.thing.edges), bool)
+            uncut[edge] = False
+            n_regions, region = _components(len(reached), self.thing.edges[uncut])
+            votes = np.bincount(region[inside], minlength=n_regions) - np.bincount(region[outside], minlength=n_regions)
+            reached &= votes[region] > 0
+        return reached
 
 
 def vertex_parts(weights: np.ndarray) -> np.ndarray:

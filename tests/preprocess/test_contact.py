@@ -155,6 +155,16 @@ def test_two_parts_through_one_face_touch_each_its_own():
         assert_touched(np.where(half, contact.object, 0), axis_distance(thing.vertices, tip), part, also=face)
 
 
+def test_a_part_turned_inside_out_does_not_make_the_rest_touch():
+    thing, tip = plate(), np.array([0.001, -0.002, -0.005])
+    folded = fine(trimesh.creation.icosphere(3, 0.004), 0.002)
+    folded.apply_translation([0.0215, 0.0127, 0.0013])
+    folded.invert()
+    contact, _ = annotate(thing, finger(tip), folded)
+    on_face = thing.vertices[:, 2] > -1e-6
+    assert_touched(contact.object, axis_distance(thing.vertices, tip), also=on_face)
+
+
 def test_open_surfaces():
     """A sheet without thickness, and a finger open at its far end."""
     thing = plate()
