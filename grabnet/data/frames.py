@@ -27,7 +27,7 @@ from grabnet.errors import UserError
 from grabnet.files import existing, replacing, write_json
 from grabnet.geometry.rotations import axis_angle_to_matrix
 
-FORMAT = 2
+FORMAT = 3
 
 # Per-frame values of a shard and their widths; all float32 but the frame number.
 _VALUES = {"global_orient": 3, "hand_pose": 45, "transl": 3, "object_orient": 3}
@@ -115,7 +115,9 @@ class FramesStore:
         root = Path(root)
         card = json.loads(existing(root / "store.json", "Frames store").read_text())
         if card.get("format") != FORMAT:
-            raise UserError(f"{root} is a frames store of format {card.get('format')}; this code reads {FORMAT}.")
+            raise UserError(
+                f"{root} is a frames store of format {card.get('format')}, and {FORMAT} is read here: make it anew."
+            )
         v_template = load_file(root / "subjects.safetensors")["v_template"]
         subjects, objects, sequences = card["subjects"], card["objects"], card["sequences"]
         return cls(subjects, objects, sequences, v_template, read_frames(root, subjects, objects, sequences), card)
