@@ -11,6 +11,7 @@ from torch import Tensor
 from grabnet.body.loading import BODY_SHAPES
 from grabnet.body.skinned import SkinnedModel, blended
 
+OPEN_BODY = Path(__file__).parents[2] / "assets" / "open_body"
 N_BODY_JOINTS, N_HAND_JOINTS = 21, 15
 # Shape directions of a model file: with 400, the first 300 are of the body and the rest of the face; the older,
 # smaller files hold ten of each.
@@ -71,6 +72,11 @@ class BodyModel(SkinnedModel):
         n = self.shapedirs.shape[-1]
         self.n_betas = min(n, _EXPRESSION_STARTS.get(n, _OLDER_EXPRESSION_START))
         self.n_expressions = n - self.n_betas
+
+    @classmethod
+    def open(cls) -> BodyModel:
+        """The open stand-in shipped with the package (CC0, from MakeHuman); of no gender."""
+        return cls(OPEN_BODY / "SMPLX_NEUTRAL.npz")
 
     def shaped(
         self, betas: Tensor | None = None, expression: Tensor | None = None, v_template: Tensor | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -24,7 +25,7 @@ MakeOptimizer = Callable[[Iterable[nn.Parameter]], torch.optim.Optimizer]
 MakeScheduler = Callable[[torch.optim.Optimizer], Any]
 
 
-class GraspTraining(L.LightningModule):
+class GraspTraining(L.LightningModule, ABC):
     """What training either network shares.
 
     Args:
@@ -66,13 +67,13 @@ class GraspTraining(L.LightningModule):
             if schedule.reduce_on_plateau and schedule.monitor in self.trainer.callback_metrics:
                 schedule.scheduler.step(self.trainer.callback_metrics[schedule.monitor])
 
+    @abstractmethod
     def grasp(self, batch: GraspBatch) -> Tensor:
         """Vertices (B, V, 3) of grasps as the network makes them in use, for a batch's objects and hand shapes."""
-        raise NotImplementedError
 
+    @abstractmethod
     def reconstruct(self, batch: GraspBatch) -> tuple[Tensor, dict[str, Tensor]]:
         """Predicted vertices (B, V, 3) and the weighted loss terms of a batch."""
-        raise NotImplementedError
 
     def training_step(self, batch: GraspBatch, batch_idx: int) -> Tensor:
         _, terms = self.reconstruct(batch)

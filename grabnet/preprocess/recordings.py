@@ -7,11 +7,10 @@ from functools import cached_property
 from pathlib import Path
 
 from grabnet.body.hand import OPEN_HANDS
+from grabnet.body.whole import OPEN_BODY
 from grabnet.data.objects import OBJECT_MESHES, object_files
 from grabnet.errors import UserError
 from grabnet.files import existing
-
-OPEN_BODY = OPEN_HANDS.parent / "open_body" / "SMPLX_NEUTRAL.npz"
 
 
 @dataclass(frozen=True)
@@ -46,10 +45,6 @@ class Recordings:
             raise UserError(f"{self.folder} holds no recordings grab/<subject>/<sequence>.npz: {remedy}.")
         return names
 
-    def file(self, name: str) -> Path:
-        """A recording's file."""
-        return self.folder / "grab" / f"{name}.npz"
-
     @cached_property
     def objects(self) -> dict[str, Path]:
         """Mesh file of each object."""
@@ -63,7 +58,9 @@ class Recordings:
 
     def body(self, gender: str) -> Path:
         """File of the whole-body model of a gender; there is but one open body."""
-        return OPEN_BODY if self.models is None else self._model("smplx", f"SMPLX_{gender.upper()}")
+        if self.models is None:
+            return OPEN_BODY / "SMPLX_NEUTRAL.npz"
+        return self._model("smplx", f"SMPLX_{gender.upper()}")
 
     def _model(self, folder: str, name: str) -> Path:
         root = existing(self.models, "Folder of models (models.root)").resolve()

@@ -9,13 +9,12 @@ import numpy as np
 import torch
 
 from grabnet.body.hand import HandModel
-from grabnet.body.whole import BodyModel
+from grabnet.body.whole import OPEN_BODY, BodyModel
 from grabnet.geometry.mesh import Mesh, save_mesh
 from grabnet.npz import read_npz
 from grabnet.open.body.gluing import Gluing
 from grabnet.open.grasps.store import OpenGrasps
 
-OPEN_BODY = Path(__file__).parents[3] / "assets" / "open_body"
 _REFLECT = np.array([-1, 1, 1], np.float32)
 
 
@@ -32,11 +31,6 @@ class Subject:
     def file(self, part: str = "") -> str:
         """Path of a template below GRAB's root; part is "", "_rhand" or "_lhand"."""
         return f"tools/subject_meshes/{self.gender}/{self.name}{part}.ply"
-
-
-def open_body() -> BodyModel:
-    """The open stand-in for SMPL-X shipped with the package (CC0, from MakeHuman)."""
-    return BodyModel(OPEN_BODY / "SMPLX_NEUTRAL.npz")
 
 
 def open_subjects(body: BodyModel, grasps: OpenGrasps) -> list[Subject]:

@@ -14,7 +14,7 @@ from grabnet.body.whole import BodyModel
 from grabnet.geometry.rotations import matrix_to_axis_angle
 from grabnet.open.body.skeleton import JOINTS
 from grabnet.open.body.subjects import Subject
-from grabnet.open.sequences.arms import Arm
+from grabnet.open.sequences.arms import Arm, ArmPose
 from grabnet.open.sequences.motion import Pose
 
 SIDES = ("right", "left")
@@ -55,7 +55,6 @@ class Actor:
         self.subject, self.body, self.hand, self.anatomy = subject, body, hand, Anatomy.of(hand)
         self.v_template = torch.as_tensor(subject.v_template)
         self.joints = body.rest_joints(self.v_template).double().numpy()
-        self.origin = self.joints[0].copy()
         self.arms = {side: Arm(self.joints, side) for side in SIDES}
         self.floor = float(subject.v_template[:, 1].min())
         self.rest_hand = {"right": torch.as_tensor(subject.rhand), "left": torch.as_tensor(subject.lhand)}
@@ -85,6 +84,10 @@ class Actor:
     def shoulder(self, trunk: Trunk, side: str) -> np.ndarray:
         """(N, 3) positions of a shoulder joint."""
         return trunk.chest.points((self._rest(f"{side}_shoulder") - self._rest("spine3"))[None])[:, 0]
+
+    def reach(self, side: str, trunk: Trunk, wrist: Pose, swivel: np.ndarray) -> ArmPose:
+        """The arm whose wrist joint is at N poses, its elbow turned to (N,) swivels, degrees."""
+        return self.arms[side].reach(trunk.chest.rotation, self.shoulder(trunk, side), wrist, swivel)
 
     def off_trunk(self, trunk: Trunk, points: np.ndarray) -> np.ndarray:
         """(N, P) metres, about, from points (N, P, 3) to the trunk, as if it were a column; far above the shoulders."""

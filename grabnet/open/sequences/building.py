@@ -18,12 +18,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from grabnet.body.hand import HandModel
+from grabnet.body.whole import OPEN_BODY, BodyModel
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import write_sequence
 from grabnet.errors import UserError
 from grabnet.files import sha256, write_json
 from grabnet.geometry.mesh import load_mesh
-from grabnet.open.body.subjects import OPEN_BODY, open_body, open_subjects, write_subjects
+from grabnet.open.body.subjects import open_subjects, write_subjects
 from grabnet.open.grasps.store import OPEN_GRASPS, OpenGrasps, load_open_grasps
 from grabnet.open.objects.writing import write_objects
 from grabnet.open.sequences.actor import Actor
@@ -75,9 +76,10 @@ def build_sequences(
     body_hash = sha256(OPEN_BODY / "SMPLX_NEUTRAL.npz", OPEN_BODY / "subjects.npz")
     recipe = {"seed": seed, "subjects": list(subjects or grasps.subjects), "grasps_sha256": sha256(OPEN_GRASPS)}
     recipe["body_sha256"] = body_hash
+    recipe["code_sha256"] = sha256(*sorted(path for path in Path(__file__).parent.glob("*.py") if path.stem != "film"))
     _claim(root, recipe)
     write_objects(root, processes)
-    body = open_body()
+    body = BodyModel.open()
     write_subjects(root, body, open_subjects(body, grasps))
     write_table(root)
     console = Console()
@@ -193,7 +195,7 @@ def record(entry: Entry, root: Path, seed: int) -> dict[str, Any]:
         table = Table(rng.uniform(*TABLE_HEIGHTS) + actor.floor)
         heading, spot = rng.uniform(-np.pi, np.pi), rng.normal(0, 0.3, 2)
         try:
-            stage, _ = Scene(actor, prop, holds, table, rest, rng).make(entry.intent)
+            stage = Scene(actor, prop, holds, table, rest, rng).make(entry.intent)
         except InfeasibleError as error:
             rejected[str(error)] += 1
             continue
@@ -245,7 +247,7 @@ def _actor(subject: str) -> Actor:
 
 @cache
 def _body():
-    return open_body()
+    return BodyModel.open()
 
 
 @cache

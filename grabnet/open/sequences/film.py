@@ -12,7 +12,6 @@ from PIL import Image
 from grabnet.body.whole import BodyModel
 from grabnet.data.sequences import load_below, read_sequence
 from grabnet.files import replacing
-from grabnet.open.body.subjects import open_body
 from grabnet.visual.pictures import OBJECT, SKIN, Shape, contact_sheet, render
 
 _TABLE = (0.78, 0.74, 0.66)
@@ -22,7 +21,7 @@ _FRAMES_PER_SECOND = 15
 
 def save_film(path: Path, files: Sequence[Path], root: Path, size: tuple[int, int] = (300, 330)) -> None:
     """Write an animated .webp or .gif of the sequences, one after the other."""
-    body, pictures = open_body(), []
+    body, pictures = BodyModel.open(), []
     for file in files:
         sequence = read_sequence(file)
         every = round(sequence.framerate / _FRAMES_PER_SECOND)
@@ -34,12 +33,12 @@ def save_film(path: Path, files: Sequence[Path], root: Path, size: tuple[int, in
 
 def save_strip(path: Path, files: Sequence[Path], root: Path, n: int = 8, size: tuple[int, int] = (150, 165)) -> None:
     """Write a picture with a row of `n` frames of each sequence."""
-    body, tiles, captions = open_body(), [], []
+    body, tiles, captions = BodyModel.open(), [], []
     for file in files:
-        length = len(read_sequence(file))
-        frames = np.linspace(0.08 * length, 0.92 * length, n).astype(int)
+        sequence = read_sequence(file)
+        frames = np.linspace(0.08 * len(sequence), 0.92 * len(sequence), n).astype(int)
         tiles += draw(file, root, body, frames, size)
-        captions += [f"{file.stem} {frame / 120:.1f} s" for frame in frames]
+        captions += [f"{file.stem}, {frame / sequence.framerate:.1f} s" for frame in frames]
     sheet = Image.fromarray(contact_sheet(tiles, captions, columns=n))
     with replacing(path) as temporary:
         sheet.quantize(128).save(temporary, optimize=True)

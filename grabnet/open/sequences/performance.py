@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from grabnet.open.sequences.actor import SIDES, UPRIGHT, Actor
-from grabnet.open.sequences.arms import LONGEST_REACH, ArmPose, strained
+from grabnet.open.sequences.arms import LONGEST_REACH, strained
 from grabnet.open.sequences.motion import Pose, between, minimum_jerk, ramp
 
 FRAMERATE = 120
@@ -32,9 +32,10 @@ class Performance:
     """Frames so far.
 
     Attributes:
-        thing: pose of the object. table_top: height of the table.
-        trunk (T, 5); arms[side] (T, 3, 3, 3) rotations of shoulder, elbow, wrist; wrists[side] list of (T,) chunks;
-        fingers[side] (T, 21); held (T,) names of the hands that hold the object, "" for none.
+        thing: pose of the object.
+        trunk (T, 5); arms[side] (T, 3, 3, 3) rotations of shoulder, elbow, wrist; fingers[side] (T, 21); things: the
+        object's poses: each a list of one chunk a move.
+        held: (T,) names of the hands that hold the object, "" for none.
     """
 
     actor: Actor
@@ -50,10 +51,6 @@ class Performance:
         self._arms = {side: np.tile(np.eye(3), (3, 1, 1)) for side in SIDES}
         self._fingers = dict.fromkeys(SIDES, FLAT)
         self._swivel = dict.fromkeys(SIDES, 0.0)
-
-    def solve(self, side: str, wrist: Pose, swivel: np.ndarray, trunk: np.ndarray) -> ArmPose:
-        """The arm for N wrists, (N,) swivels and (N, 5) trunks."""
-        return solve(self.actor, side, wrist, swivel, trunk)
 
     def move(
         self,
@@ -81,7 +78,7 @@ class Performance:
         for side, goal in (("right", right), ("left", left)):
             if isinstance(goal, Guided):
                 swivel = ramp(np.array([self._swivel[side]]), np.array([goal.swivel]), n)[:, 0]
-                pose = self.solve(side, goal.wrist, swivel, trunks)
+                pose = self.actor.reach(side, self.actor.trunk(trunks), goal.wrist, swivel)
                 if (pose.reach > LONGEST_REACH).any():
                     raise InfeasibleError("out of reach on the way")
                 if strained(pose).any():
@@ -107,7 +104,7 @@ class Performance:
         """(3, 3, 3) rotations of an arm whose wrist is at one pose; its elbow is then known to be at `swivel`."""
         self._swivel[side] = swivel
         one = Pose(wrist.rotation[None], wrist.position[None])
-        return self.solve(side, one, np.array([swivel]), trunk[None]).rotations[0]
+        return self.actor.reach(side, self.actor.trunk(trunk[None]), one, np.array([swivel])).rotations[0]
 
     def swivel(self, side: str) -> float:
         """Where a guided arm's elbow is now, degrees."""
@@ -117,12 +114,6 @@ class Performance:
         """The object's present pose, for so many seconds."""
         n = round(seconds * FRAMERATE)
         return Pose(np.tile(self.thing.rotation, (n, 1, 1)), np.tile(self.thing.position, (n, 1)))
-
-
-def solve(actor: Actor, side: str, wrist: Pose, swivel: np.ndarray, trunk: np.ndarray) -> ArmPose:
-    """An actor's arm for N wrists, (N,) swivels and (N, 5) trunks."""
-    posed = actor.trunk(trunk)
-    return actor.arms[side].reach(posed.chest.rotation, actor.shoulder(posed, side), wrist, swivel)
 
 
 def sway(path: Pose, turn: np.ndarray, shift: np.ndarray, cycles: float) -> Pose:

@@ -28,7 +28,6 @@ from grabnet.open.sequences.setting import (
 )
 from grabnet.open.sequences.uses import motion_of, tilt_of, use_of
 
-INTENTS = ("use", "pass", "lift", "offhand")
 _T_POSE = np.tile(np.eye(3), (3, 1, 1))
 # Metres between the two hands' vertices when both hold the object; a coarser measure of it, to choose by.
 _HANDS_APART, _ROOM = 0.004, 0.012
@@ -38,7 +37,7 @@ _ABOVE = np.array([0, 0.15, -0.04])
 
 @dataclass
 class Scene:
-    """What a plan is made from; `make` returns the performance and the action's name."""
+    """What a plan is made from."""
 
     actor: Actor
     prop: Prop
@@ -47,7 +46,7 @@ class Scene:
     rest: np.ndarray
     rng: np.random.Generator
 
-    def make(self, intent: str) -> tuple[Performance, str]:
+    def make(self, intent: str) -> Performance:
         """Draw a plan and carry it out.
 
         Raises:
@@ -55,7 +54,7 @@ class Scene:
         """
         return {"lift": self._lift, "pass": self._pass, "use": self._use, "offhand": self._offhand}[intent]()
 
-    def _lift(self) -> tuple[Performance, str]:
+    def _lift(self) -> Performance:
         hold, reach = self._place("right")
         stage = self._start(reach.thing)
         self._take(stage, hold, reach, first=True)
@@ -73,9 +72,9 @@ class Scene:
             hold, reach = again, there
         self._let_go(stage, hold)
         self._leave(stage)
-        return stage, "lift"
+        return stage
 
-    def _pass(self) -> tuple[Performance, str]:
+    def _pass(self) -> Performance:
         hold, reach = self._place("right")
         stage = self._start(reach.thing)
         self._take(stage, hold, reach, first=True)
@@ -85,9 +84,9 @@ class Scene:
         self._put_down(stage, hold, reach, self._seconds(1.0, 1.3))
         self._let_go(stage, hold)
         self._leave(stage)
-        return stage, "pass"
+        return stage
 
-    def _use(self) -> tuple[Performance, str]:
+    def _use(self) -> Performance:
         use = use_of(self.prop.name)
         hold, reach = self._place("right")
         stage = self._start(reach.thing)
@@ -111,9 +110,9 @@ class Scene:
         self._put_down(stage, hold, reach, self._seconds(1.1, 1.4))
         self._let_go(stage, hold)
         self._leave(stage)
-        return stage, use.action
+        return stage
 
-    def _offhand(self) -> tuple[Performance, str]:
+    def _offhand(self) -> Performance:
         if "left" not in self.holds.sides:
             raise InfeasibleError("no left-hand grasps")
         takes = self._room().any(1).nonzero()[0]
@@ -150,7 +149,7 @@ class Scene:
         )  # fmt: skip
         self._let_go(stage, second)
         self._leave(stage)
-        return stage, "offhand"
+        return stage
 
     # --- Parts of plans ---
 

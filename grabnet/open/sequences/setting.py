@@ -31,11 +31,6 @@ class Table:
     def centre(self) -> np.ndarray:
         return np.array([0.0, self.top, TABLE_EDGE + TABLE_SIZE[2] / 2])
 
-    def depth(self, points: np.ndarray) -> np.ndarray:
-        """(...,) metres by which points (..., 3) are inside the table top, negative outside."""
-        half = np.array(TABLE_SIZE) / 2
-        return (half - np.abs(points - self.centre + [0, half[1], 0])).min(-1)
-
 
 class Reach(NamedTuple):
     """A way to have the object somewhere: its pose, and per hand that holds it the elbow's swivel; the trunk (5,)."""
@@ -46,7 +41,7 @@ class Reach(NamedTuple):
 
 
 class Draws(NamedTuple):
-    """N random trunks (N, 5), swivels (N, hands), and what is left to the caller: grasps (N, hands), poses."""
+    """N random trunks (N, 5) and swivels (N, hands) of the elbows."""
 
     trunk: np.ndarray
     swivel: np.ndarray
@@ -75,7 +70,7 @@ def trunk_effort(trunk: np.ndarray) -> np.ndarray:
 
 
 def hand_effort(
-    actor: Actor, hold_side: str, wrist: Pose, draws: Draws, column: int, table: Table | None, back: np.ndarray | None
+    actor: Actor, side: str, wrist: Pose, draws: Draws, column: int, table: Table | None, back: np.ndarray | None
 ) -> np.ndarray:
     """(N,) effort of reaching N wrists; infinite where the forearm would go through the table or the trunk.
 
@@ -83,12 +78,11 @@ def hand_effort(
         back: (3,) or (N, 3) offset in the world of the wrist before it comes, which must be in reach too.
     """
     trunk, swivel = actor.trunk(draws.trunk), draws.swivel[:, column]
-    shoulder, arm = actor.shoulder(trunk, hold_side), actor.arms[hold_side]
-    pose = arm.reach(trunk.chest.rotation, shoulder, wrist, swivel)
+    pose = actor.reach(side, trunk, wrist, swivel)
     total = effort(pose, swivel)
     if back is not None:
         before = Pose(wrist.rotation, wrist.position + back)
-        total += 0.3 * effort(arm.reach(trunk.chest.rotation, shoulder, before, swivel), swivel)
+        total += 0.3 * effort(actor.reach(side, trunk, before, swivel), swivel)
     share = np.linspace(0.12, 1, 5)[:, None]
     forearm = wrist.position[:, None] + share * (pose.elbow_at - wrist.position)[:, None]
     blocked = actor.off_trunk(trunk, forearm) < _FOREARM_RADIUS - _SOFT

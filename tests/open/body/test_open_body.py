@@ -12,7 +12,7 @@ import torch
 import trimesh
 
 from grabnet.body.hand import HandModel, HandParameters
-from grabnet.body.whole import BodyParameters
+from grabnet.body.whole import OPEN_BODY, BodyModel, BodyParameters
 from grabnet.files import sha256
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
@@ -20,7 +20,7 @@ from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.npz import read_npz
 from grabnet.open.body.gluing import Gluing
 from grabnet.open.body.skeleton import JOINTS, MIRRORED, PARENTS, RIGHT_HAND
-from grabnet.open.body.subjects import OPEN_BODY, open_body, open_subjects
+from grabnet.open.body.subjects import open_subjects
 from grabnet.open.grasps.store import load_open_grasps
 
 FILES = ("SMPLX_NEUTRAL.npz", "subjects.npz")
@@ -28,7 +28,7 @@ FILES = ("SMPLX_NEUTRAL.npz", "subjects.npz")
 
 @pytest.fixture(scope="module")
 def body():
-    return open_body()
+    return BodyModel.open()
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ from grabnet.body.whole import BodyParameters
 from grabnet.open.body.skeleton import JOINTS
 from grabnet.open.sequences.arms import LONGEST_REACH, effort
 from grabnet.open.sequences.motion import Pose
-from grabnet.open.sequences.performance import solve
 
 N = 200
 
@@ -27,7 +26,7 @@ def reached(request, actor):
     far = rng.uniform(0.45, 0.97, (N, 1)) * sum(actor.arms[side].length)
     wrist = Pose(Rotation.random(N, random_state=1).as_matrix(), shoulder + far * way)
     swivel = rng.uniform(-30, 60, N)
-    return side, trunk, wrist, swivel, solve(actor, side, wrist, swivel, trunk)
+    return side, trunk, wrist, swivel, actor.reach(side, actor.trunk(trunk), wrist, swivel)
 
 
 def posed(actor, side, trunk, pose):
@@ -79,7 +78,7 @@ def test_the_feet_stay(actor, reached):
 
 def test_swivel_turns_the_elbow_outwards(actor, reached):
     side, trunk, wrist, swivel, pose = reached
-    further = solve(actor, side, wrist, swivel + 20, trunk)
+    further = actor.reach(side, actor.trunk(trunk), wrist, swivel + 20)
     moved = (further.elbow_at - pose.elbow_at)[:, 0] * actor.arms[side].outward
     hanging = swivel < 40
     assert (moved[hanging] > 0).mean() > 0.75, "but for arms that point up or back"
@@ -90,7 +89,7 @@ def test_too_far_is_told(actor):
     trunk = np.zeros((1, 5))
     shoulder = actor.shoulder(actor.trunk(trunk), "right")
     wrist = Pose(np.eye(3)[None], shoulder + np.array([0, 0, 1.2 * sum(actor.arms["right"].length)]))
-    pose = solve(actor, "right", wrist, np.zeros(1), trunk)
+    pose = actor.reach("right", actor.trunk(trunk), wrist, np.zeros(1))
     assert pose.reach[0] == pytest.approx(1.2) and pose.reach[0] > LONGEST_REACH
     assert np.isinf(effort(pose, np.zeros(1)))[0]
 
@@ -106,5 +105,5 @@ def test_supination_is_counted_from_thumb_up(actor):
         for degrees in (0, 90):
             thumb_up = Rotation.from_rotvec([0, 0, -arm.outward * np.radians(degrees)])
             wrist = Pose((thumb_up * ahead).as_matrix()[None], shoulder + np.array([0, -0.25, 0.24]))
-            pose = solve(actor, side, wrist, np.array([0.0]), trunk)
+            pose = actor.reach(side, actor.trunk(trunk), wrist, np.array([0.0]))
             assert pose.supination[0] == pytest.approx(degrees - 90, abs=40)

@@ -7,13 +7,14 @@ import pytest
 import torch
 
 from grabnet.body.hand import HandModel
+from grabnet.body.whole import OPEN_BODY, BodyModel
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import load_below, read_sequence
 from grabnet.errors import UserError
 from grabnet.files import sha256, write_json
 from grabnet.geometry.mesh import save_mesh
 from grabnet.npz import read_npz
-from grabnet.open.body.subjects import OPEN_BODY, open_body, open_subjects, write_subjects
+from grabnet.open.body.subjects import open_subjects, write_subjects
 from grabnet.open.grasps.store import load_open_grasps
 from grabnet.open.objects import build_object
 from grabnet.open.sequences.building import TWO_HANDED, Entry, build_sequences, record, schedule
@@ -38,7 +39,7 @@ def root(tmp_path_factory):
     (root / OBJECT_MESHES).mkdir(parents=True)
     for name in sorted({entry.object for entry in ENTRIES}):
         save_mesh(root / OBJECT_MESHES / f"{name}.ply", build_object(name))
-    body = open_body()
+    body = BodyModel.open()
     people = open_subjects(body, load_open_grasps())
     write_subjects(root, body, [s for s in people if s.name in {entry.subject for entry in ENTRIES}])
     write_table(root)
@@ -60,7 +61,7 @@ def sequence(root, entry):
 @pytest.fixture(scope="module")
 def people(root, sequence):
     """(T, V, 3) of the body, posed from what the file names."""
-    body = open_body()
+    body = BodyModel.open()
     v_template = torch.tensor(load_below(root, sequence.body.vtemp).vertices)
     return body(sequence.body.parameters(), v_template).vertices.numpy()
 
@@ -129,7 +130,7 @@ def test_hands_alone_are_where_the_bodys_are(root, sequence, people):
 
 
 def test_stored_contact_is_by_the_right_parts(sequence, entry):
-    parts = vertex_parts(open_body().weights.numpy())
+    parts = vertex_parts(BodyModel.open().weights.numpy())
     labels = sequence.contact.body
     assert ((labels == 0) | (labels == parts)).all()
     seen = set(np.unique(sequence.contact.object)) - {0}
