@@ -57,7 +57,7 @@ def compute_targets(frames: Frames, assembler: BatchAssembler, n_points: int, ba
         n_points: surface samples kept per frame: those nearest to the hand, or all when it equals their number.
     """
     hand, points = assembler.hand, assembler.object_set.points
-    nearest = NearestVertex(hand.v_template, hand.faces)
+    nearest = NearestVertex(hand.faces, len(hand.v_template))
     targets = Targets(
         torch.empty(len(frames), len(hand.v_template), dtype=torch.float16),
         None if n_points == points.shape[1] else torch.empty(len(frames), n_points, dtype=torch.int16),

@@ -1,6 +1,7 @@
-"""Nearest vertex of a deformed mesh, and the side of the surface that a point lies on, in two kernels.
+"""Nearest vertex of a deformed mesh, and the side of the surface that a point lies on.
 
-Vertices are searched group by group; a group whose ball is further away than the best vertex so far is passed over.
+Every vertex is compared, sixteen and more at once on a CPU: for a hand's 778 that is several times faster than any tree
+or bound that would spare some of them.
 """
 
 import warp as wp
@@ -14,42 +15,33 @@ wp.set_module_options({"enable_backward": False})
 class Topology:
     """What all poses of a mesh share."""
 
-    faces: wp.array(dtype=wp.vec3i)
-    members: wp.array(dtype=int)  # vertices, group after group
-    group_start: wp.array(dtype=int)  # into members, and its end: one more than there are groups
-    around: wp.array(dtype=int)  # faces at each vertex, vertex after vertex
-    around_start: wp.array(dtype=int)
+    opposite: wp.array(dtype=wp.vec2i)  # the two other corners of each face at each vertex, vertex after vertex
+    start: wp.array(dtype=int)  # of each vertex therein, and the end
 
 
-@wp.kernel
-def bound(
-    lanes: int,
-    topology: Topology,
-    vertices: wp.array2d(dtype=wp.vec3),
-    balls: wp.array2d(dtype=wp.vec4),
-):
-    """A ball (centre, radius) around each group."""
-    row, lane = wp.tid()
-    for group in range(lane, balls.shape[1], lanes):
-        start = topology.group_start[group]
-        end = topology.group_start[group + 1]
-        low = vertices[row, topology.members[start]]
-        high = low
-        for k in range(start + 1, end):
-            v = vertices[row, topology.members[k]]
-            low = wp.min(low, v)
-            high = wp.max(high, v)
-        centre = 0.5 * (low + high)
-        square = wp.float32(0.0)
-        for k in range(start, end):
-            square = wp.max(square, wp.length_sq(vertices[row, topology.members[k]] - centre))
-        # Rounded up, so that no member lies outside.
-        balls[row, group] = wp.vec4(centre[0], centre[1], centre[2], wp.sqrt(square) * 1.00001)
+# Distance and number in one integer, of which the smallest is sought: squares are not negative, and the bits of such
+# floats are in the order of their values.
+_NEAREST = """
+    const float *xs = x.data, *ys = y.data, *zs = z.data;
+    const float px = p[0], py = p[1], pz = p[2];
+    long long best = 0x7fffffffffffffffLL;
+    #if defined(__clang__)
+    #pragma clang loop vectorize(assume_safety) vectorize_width(8) interleave_count(4)
+    #endif
+    for (int k = 0; k < x.shape[0]; ++k) {
+        const float dx = xs[k] - px, dy = ys[k] - py, dz = zs[k] - pz;
+        const float square = dx * dx + dy * dy + dz * dz;
+        unsigned int bits;
+        memcpy(&bits, &square, 4);
+        best = wp::min(best, ((long long)bits << 32) | k);
+    }
+    return (int)best;
+"""
 
 
-@wp.func
-def centre_of(ball: wp.vec4) -> wp.vec3:
-    return wp.vec3(ball[0], ball[1], ball[2])
+@wp.func_native(_NEAREST)
+def nearest(x: wp.array(dtype=float), y: wp.array(dtype=float), z: wp.array(dtype=float), p: wp.vec3) -> int:
+    """Number of the point (x, y, z) nearest to p; of equal ones the first."""
 
 
 @wp.kernel
@@ -57,46 +49,27 @@ def nearest_vertex(
     lanes: int,
     topology: Topology,
     vertices: wp.array2d(dtype=wp.vec3),
-    balls: wp.array2d(dtype=wp.vec4),
+    coordinates: wp.array3d(dtype=float),
     queries: wp.array2d(dtype=wp.vec3),
     index: wp.array2d(dtype=int),
     behind: wp.array2d(dtype=wp.bool),
 ):
-    """Index of the vertex nearest to each query, and whether the query lies behind the surface there."""
+    """Index of the vertex nearest to each query, and whether the query lies behind the surface there.
+
+    `coordinates` are those of the vertices, (B, 3, V).
+    """
     row, lane = wp.tid()
-    n_groups = balls.shape[1]
+    x = coordinates[row, 0]
+    y = coordinates[row, 1]
+    z = coordinates[row, 2]
     for q in range(lane, queries.shape[1], lanes):
         p = queries[row, q]
-        first = wp.int32(0)  # a variable: a bare 0 would be a constant to warp
-        square = float(wp.inf)
-        for group in range(n_groups):
-            s = wp.length_sq(p - centre_of(balls[row, group]))
-            if s < square:
-                square = s
-                first = group
-        best = int(topology.members[0])
-        square = float(wp.inf)
-        for k in range(topology.group_start[first], topology.group_start[first + 1]):
-            s = wp.length_sq(p - vertices[row, topology.members[k]])
-            if s < square:
-                square = s
-                best = topology.members[k]
-        reach = wp.sqrt(square)
-        for group in range(n_groups):
-            ball = balls[row, group]
-            within = reach + ball[3]
-            if group != first and wp.length_sq(p - centre_of(ball)) < within * within:
-                for k in range(topology.group_start[group], topology.group_start[group + 1]):
-                    s = wp.length_sq(p - vertices[row, topology.members[k]])
-                    if s < square:
-                        square = s
-                        best = topology.members[k]
-                reach = wp.sqrt(square)
+        best = nearest(x, y, z, p)
         index[row, q] = best
 
+        vertex = vertices[row, best]
         normal = wp.vec3(0.0)
-        for k in range(topology.around_start[best], topology.around_start[best + 1]):
-            face = topology.faces[topology.around[k]]
-            a = vertices[row, face[0]]
-            normal += wp.cross(vertices[row, face[1]] - a, vertices[row, face[2]] - a)
-        behind[row, q] = wp.dot(p - vertices[row, best], normal) < 0.0
+        for k in range(topology.start[best], topology.start[best + 1]):
+            others = topology.opposite[k]
+            normal += wp.cross(vertices[row, others[0]] - vertex, vertices[row, others[1]] - vertex)
+        behind[row, q] = wp.dot(p - vertex, normal) < 0.0

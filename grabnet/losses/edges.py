@@ -12,7 +12,8 @@ from grabnet.losses import edge_kernels as kernels
 class EdgeL1(nn.Module):
     """Mean |Δ| between a mesh's edge vectors and the true ones, over batch, edges and coordinates.
 
-    One pass over each mesh finds value and gradient; with torch's indexing either way takes ten times as long.
+    One pass over each edge finds the gradient by Δ of a vertex: the signs of Δ along the edges that start there. The
+    value is its product with Δ. With torch's indexing either takes ten times as long.
 
     Args:
         faces: (F, 3) int; each of their edges counts once.
@@ -27,6 +28,7 @@ class EdgeL1(nn.Module):
         self.n_edges = len(ends) // 2
         self.register_buffer("neighbours", ends[:, 1].int().contiguous(), False)
         self.register_buffer("start", torch.cat([counts.new_zeros(1), counts.cumsum(0)]).int(), False)
+        self.register_buffer("vertex", torch.arange(n_vertices, dtype=torch.int32, device=faces.device), False)
 
     def forward(self, vertices: Tensor, true: Tensor) -> Tensor:
         """Scalar, for vertices and true (B, V, 3); differentiable in the former."""
@@ -36,15 +38,16 @@ class EdgeL1(nn.Module):
 class _EdgeL1(torch.autograd.Function):
     @staticmethod
     def forward(ctx, difference: Tensor, edges: EdgeL1) -> Tensor:
-        rows = difference.detach().float().contiguous()
-        total, gradient = rows.new_empty(rows.shape[:2]), torch.empty_like(rows)
-        launch(kernels.edge_l1, [rows, total, gradient], [edges.start, edges.neighbours], width=rows.shape[1])
-        count = 3 * len(rows) * edges.n_edges
-        ctx.save_for_backward(gradient)
+        columns = difference.detach().float().permute(1, 2, 0).contiguous()  # the batch last
+        signs = torch.zeros_like(columns)
+        constants = [edges.neighbours, edges.start, columns]
+        launch(kernels.edge_signs, [edges.vertex, signs], constants, width=3 * len(difference))
+        count = 3 * len(difference) * edges.n_edges
+        ctx.save_for_backward(signs)
         ctx.count = count
-        return (total.sum() / (2 * count)).to(difference.dtype)  # each edge was met twice
+        return (torch.dot(columns.flatten(), signs.flatten()) / count).to(difference.dtype)
 
     @staticmethod
     def backward(ctx, d_loss: Tensor) -> tuple[Tensor, None]:
-        (gradient,) = ctx.saved_tensors
-        return gradient.to(d_loss.dtype) * (d_loss / ctx.count), None
+        (signs,) = ctx.saved_tensors
+        return signs.to(d_loss.dtype).permute(2, 0, 1).contiguous() * (d_loss / ctx.count), None

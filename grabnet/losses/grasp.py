@@ -92,7 +92,7 @@ class CoarseNetLoss(ReconstructionLoss):
     ):
         super().__init__(hand, contact, vertex, edge, hand_to_object, root, contact_weights, vertices_by_root=False)
         self.object_to_hand, self.kl, self.point_weights = object_to_hand, kl, point_weights
-        self.nearest = NearestVertex(hand.v_template, hand.faces)
+        self.nearest = NearestVertex(hand.faces, len(hand.v_template))
 
     def forward(self, vertices: Tensor, batch: GraspBatch, posterior: Normal) -> dict[str, Tensor]:
         terms = super().forward(vertices, batch)
