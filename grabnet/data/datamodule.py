@@ -103,7 +103,11 @@ class GraspDataModule(L.LightningDataModule):
         for split in SPLITS:
             frames = self.store.frames.select(self._members(split))
             if not len(frames):
-                raise UserError(f"{self.store_dir} has no {split} frames: its objects are {', '.join(objects.names)}.")
+                here = ", ".join(objects.names)
+                remedy = f"name some in data.{split}_objects"
+                if split == "train":
+                    remedy = "leave some out of data.val_objects and data.test_objects"
+                raise UserError(f"{self.store_dir} has no {split} frames; of its objects ({here}) {remedy}.")
             self._frames[split] = frames
             self._targets[split] = compute_targets(frames, self.assembler, self.near_points)
 
