@@ -40,7 +40,5 @@ class PointWeights:
         self.near, self.far, self.penetrating = tuple(near), far, penetrating
 
     def __call__(self, distances: Tensor, true: Tensor) -> Tensor:
-        weights = torch.full_like(true, self.far)
-        weights[(true > self.near[0]) & (true < self.near[1])] = 1.0
-        weights[distances < 0] = self.penetrating
-        return weights
+        near = (true > self.near[0]) & (true < self.near[1])
+        return torch.where(distances < 0, self.penetrating, torch.where(near, 1.0, self.far)).to(true.dtype)
