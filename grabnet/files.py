@@ -52,6 +52,15 @@ def leftovers(folder: str | Path, *names: str) -> list[Path]:
     return [path for pattern in patterns for path in Path(folder).glob(str(pattern)) if path.is_file()]
 
 
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write bytes atomically.
+
+    Tensors, too, are made bytes first, by safetensors' `save`: of a full disk its `save_file` makes no OSError.
+    """
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)
+
+
 def write_json(path: str | Path, value: Any) -> None:
     """Write `value` as indented JSON, atomically."""
     with replacing(path) as temporary:

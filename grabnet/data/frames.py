@@ -19,12 +19,12 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor
 
 from grabnet.body.hand import HandParameters
 from grabnet.errors import UserError
-from grabnet.files import existing, replacing, write_json
+from grabnet.files import existing, write_bytes, write_json
 from grabnet.geometry.rotations import axis_angle_to_matrix
 
 FORMAT = 3
@@ -181,8 +181,7 @@ def write_shard(
             raise ValueError(f"{sequence}: {name} has shape {tuple(tensors[name].shape)}, expected (N, {width})")
     # In one value: safetensors writes several in an order that changes from process to process.
     facts = json.dumps({"subject": subject, "object": object_name, **header})
-    with replacing(shard_path(root, sequence)) as temporary:
-        temporary.write_bytes(save(tensors, {"header": facts}))  # a full disk raises OSError, unlike with save_file
+    write_bytes(shard_path(root, sequence), save(tensors, {"header": facts}))
 
 
 def read_header(path: str | Path) -> dict[str, Any]:
@@ -211,11 +210,9 @@ def finish_store(
         contact: (V,) share of training frames in which each hand vertex touches.
     """
     root = Path(root)
-    with replacing(root / "subjects.safetensors") as temporary:
-        save_file({"v_template": torch.stack(list(v_template.values()))}, temporary)
+    write_bytes(root / "subjects.safetensors", save({"v_template": torch.stack(list(v_template.values()))}))
     if contact is not None:
-        with replacing(root / "contact.safetensors") as temporary:
-            save_file({"contact": contact}, temporary)
+        write_bytes(root / "contact.safetensors", save({"contact": contact}))
     names = {"subjects": list(v_template), "objects": sorted(objects), "sequences": shard_names(root)}
     write_json(root / "store.json", {"format": FORMAT} | names | {"provenance": provenance})
 
