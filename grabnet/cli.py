@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import functools
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
@@ -82,6 +83,21 @@ def _rehearse(config_name: str, arguments: list[str]) -> None:
     for i, values in enumerate(choices):
         for value in values[1:]:
             compose(config_name, [*first[:i], value, *first[i + 1 :]])
+    _try_folder(is_sweep=not {"-m", "--multirun"}.isdisjoint(arguments))
+
+
+def _try_folder(is_sweep: bool) -> None:
+    """Raise a `UserError` where Hydra could not make the folder of the composed run or sweep, or write to it."""
+    settings = HydraConfig.get()
+    if settings.output_subdir is None:  # it writes nothing
+        return
+    name, folder = ("sweep_dir", settings.sweep.dir) if is_sweep else ("run_dir", settings.run.dir)
+    path = Path(folder).absolute()
+    try:
+        # Not the folder itself: in its name is the time, which will be another when Hydra makes it.
+        tempfile.TemporaryDirectory(dir=next(p for p in (path, *path.parents) if p.exists())).cleanup()
+    except OSError as error:
+        raise UserError(f"{folder} cannot be written to ({error.strerror}): choose another {name}.") from None
 
 
 def _choices(override: Override) -> list[str]:

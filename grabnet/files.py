@@ -16,8 +16,9 @@ import numpy as np
 
 from grabnet.errors import UserError
 
-# What a disk says that takes no more.
+# What a disk says that takes no more, and a place where no folder can be made.
 DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES}
+DISK_ERRORS |= {errno.EPERM, errno.ENOTDIR, errno.ENOENT}
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 from grabnet.cli import CONFIGS, compose
 from grabnet.config import check
 from grabnet.errors import UserError
+from train import main
 
 ROOT = Path(__file__).parents[1]
 
@@ -38,6 +39,17 @@ def test_the_command_says_it_in_a_line_and_leaves(argument):
     result = subprocess.run([sys.executable, "train.py", argument], cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 2
     assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [["run_dir={}/run"], ["-m", "seed=0,1", "sweep_dir={}/run"]])
+def test_a_folder_that_cannot_be_made_is_told(arguments, tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(sys, "argv", ["train.py", *(a.format(tmp_path / "file") for a in arguments)])
+    with pytest.raises(SystemExit) as left:
+        main()
+    name = arguments[-1].partition("=")[0]
+    sentence = f"{tmp_path}/file/run cannot be written to (Not a directory): choose another {name}."
+    assert left.value.code == 2 and capsys.readouterr().err == f"error: {sentence}\n"
 
 
 @pytest.mark.parametrize("group", ["experiment", "model", "debug", "trainer", "callbacks", "logger"])
