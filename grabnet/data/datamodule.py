@@ -17,7 +17,7 @@ from grabnet.data.batches import BatchAssembler, GraspBatch
 from grabnet.data.frames import Frames, FramesStore
 from grabnet.data.objects import OBJECT_MESHES, ObjectSet
 from grabnet.data.splits import SPLITS, split_of
-from grabnet.data.targets import Targets, compute_targets
+from grabnet.data.targets import MAX_POINTS, Targets, compute_targets
 from grabnet.errors import UserError
 
 
@@ -68,6 +68,8 @@ class GraspDataModule(L.LightningDataModule):
         prepare: Preparation | None = None,
     ):
         super().__init__()
+        if object_points > MAX_POINTS:
+            raise UserError(f"data.object_points={object_points} is too large: {MAX_POINTS} is the most.")
         if near_points > object_points:
             raise UserError(f"data.near_points={near_points} exceeds data.object_points={object_points}.")
         self.hand, self.store_dir = hand, Path(root) / "frames"
