@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import functools
+import logging
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
@@ -23,6 +24,8 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 from grabnet.config import check
 from grabnet.errors import UserError
 
+log = logging.getLogger(__name__)
+
 CONFIGS = Path(__file__).parents[1] / "configs"
 
 
@@ -38,9 +41,8 @@ def hydra_entry(config_name: str) -> Callable[[Callable[[DictConfig], object]], 
             try:
                 return main(cfg)
             except (UserError, InstantiationException) as error:
-                # The second is how Hydra passes on what a constructor raised.
-                mistake = error if isinstance(error, UserError) else error.__cause__
-                if not isinstance(mistake, UserError):
+                mistake = error if isinstance(error, UserError) else refusal(error)
+                if mistake is None:
                     raise
                 if HydraConfig.get().mode == RunMode.MULTIRUN:  # one run of many: the others go on
                     raise mistake from None
@@ -57,6 +59,18 @@ def hydra_entry(config_name: str) -> Callable[[Callable[[DictConfig], object]], 
         return entry
 
     return decorate
+
+
+def refusal(error: InstantiationException) -> UserError | None:
+    """What a constructor refused, which Hydra passes on, in a sentence; None where it failed for another reason."""
+    cause = error.__cause__
+    if isinstance(cause, UserError):
+        return cause
+    if not isinstance(cause, ValueError | TypeError):
+        return None
+    key = str(error).rpartition("full_key: ")[2]
+    log.debug("%s was refused here:", key, exc_info=error)  # hydra.verbose=true, for those who write such a constructor
+    return UserError(f"{key}: {' '.join(str(cause).split())}")
 
 
 def fail(error: UserError) -> NoReturn:

@@ -134,6 +134,20 @@ def test_a_disk_that_fills_up_at_the_end_ends_in_a_sentence(tiny_dataset, tmp_pa
     assert "Traceback" not in told and not weights.exists()
 
 
+@pytest.mark.parametrize(
+    ("model", "value", "sentence"),
+    [
+        ("refinenet", "model.dropout=2", "model: dropout probability has to be between 0 and 1"),
+        ("coarsenet", "logger.csv=null", "The trainer cannot run as configured: Cannot use `LearningRateMonitor`"),
+    ],
+)
+def test_a_run_that_cannot_begin_ends_in_a_sentence(model, value, sentence, tiny_dataset, tmp_path, cache_dir):
+    output = tmp_path / "output.txt"
+    assert finish(tiny_overrides(tiny_dataset, tmp_path / "run", cache_dir, model, value), output) == 2
+    told = output.read_text()
+    assert told.splitlines()[-1].startswith(f"error: {sentence}") and "Traceback" not in told
+
+
 def test_frames_are_learned_by_heart(tiny_dataset, tmp_path, cache_dir):
     more = ("debug=overfit", "model.width=256", "model.n_hidden=128")
     overrides = [o for o in tiny_overrides(tiny_dataset, tmp_path, cache_dir) if "epochs" not in o and "batch" not in o]

@@ -68,6 +68,11 @@ class GraspDataModule(L.LightningDataModule):
         prepare: Preparation | None = None,
     ):
         super().__init__()
+        least = {"batch_size": 2, "min_steps": 1, "object_points": 1, "near_points": 1, "max_frames": 2}
+        values = (batch_size, min_steps, object_points, near_points, max_frames)
+        for (name, limit), value in zip(least.items(), values, strict=True):
+            if value is not None and value < limit:  # of one frame there are no batch statistics
+                raise UserError(f"data.{name}={value} is too small: {limit} is the least.")
         if object_points > MAX_POINTS:
             raise UserError(f"data.object_points={object_points} is too large: {MAX_POINTS} is the most.")
         if near_points > object_points:

@@ -25,11 +25,11 @@ def data(tiny_dataset, hand, cache_dir) -> GraspDataModule:
 
 
 def unchanging(hand, contact: torch.Tensor, noise: float) -> RefineNetTraining:
-    """A RefineNet that makes no corrections."""
-    return RefineNetTraining(
+    """A RefineNet whose corrections are none."""
+    module = RefineNetTraining(
         hand,
         contact,
-        iterations=0,
+        iterations=1,
         width=8,
         n_hidden=8,
         dropout=0.3,
@@ -38,6 +38,9 @@ def unchanging(hand, contact: torch.Tensor, noise: float) -> RefineNetTraining:
         optimizer=lambda parameters: torch.optim.SGD(parameters),
         scheduler=lambda optimizer: None,
     )
+    for layer in (module.network.pose, module.network.transl):
+        torch.nn.init.zeros_(layer.weight)
+    return module
 
 
 def watched(data: GraspDataModule, module: RefineNetTraining, monitor: GraspMonitor) -> dict[str, float]:
