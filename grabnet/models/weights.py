@@ -62,9 +62,9 @@ def load_refinenet(path: str | Path, hand: HandModel) -> RefineNet:
 
 
 def read_provenance(path: str | Path) -> dict[str, Any]:
-    """The record that `save_network` was given."""
+    """The record that `save_network` was given; empty for another's file."""
     with _opened(path) as file:
-        return json.loads(file.metadata()["provenance"])
+        return json.loads((file.metadata() or {}).get("provenance", "{}"))
 
 
 def network_kind(path: Path) -> str | None:
