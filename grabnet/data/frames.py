@@ -12,7 +12,8 @@ The same frames give the same bytes, whenever and wherever they are written.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -110,16 +111,19 @@ class FramesStore:
         """Read a finished store.
 
         Raises:
-            UserError: no store there, unfinished, of another format, or a damaged shard.
+            UserError: no store there, unfinished, empty, of another format, or damaged.
         """
         root = Path(root)
-        card = json.loads(existing(root / "store.json", "Frames store").read_text())
+        card = _read_card(root)
         if card.get("format") != FORMAT:
             raise UserError(
                 f"{root} is a frames store of format {card.get('format')}, and {FORMAT} is read here: make it anew."
             )
-        v_template = load_file(root / "subjects.safetensors")["v_template"]
         subjects, objects, sequences = card["subjects"], card["objects"], card["sequences"]
+        if not sequences:
+            raise UserError(f"The frames store {root} is empty: delete it and make it anew.")
+        with _damage_told(subjects_file := root / "subjects.safetensors"):
+            v_template = load_file(subjects_file)["v_template"]
         return cls(subjects, objects, sequences, v_template, read_frames(root, subjects, objects, sequences), card)
 
 
@@ -219,11 +223,16 @@ def finish_store(
 
 def is_made_by(root: str | Path, recipe: dict[str, Any]) -> bool:
     """Whether a finished store is there whose provenance names this recipe."""
-    card = Path(root) / "store.json"
-    if not card.exists():
+    if not (Path(root) / "store.json").exists():
         return False
-    said = json.loads(card.read_text())
-    return said.get("format") == FORMAT and said["provenance"].get("recipe") == recipe
+    card = _read_card(Path(root))
+    return card.get("format") == FORMAT and card["provenance"].get("recipe") == recipe
+
+
+def _read_card(root: Path) -> dict[str, Any]:
+    path = existing(root / "store.json", "Frames store")
+    with _damage_told(path):
+        return dict(json.loads(path.read_text()))
 
 
 def _read_shard(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
@@ -245,10 +254,13 @@ def _noise(noisy: Tensor, true: Tensor) -> Tensor:
 
 
 def _open_shard(path: Path, read: Callable[[Any], Any]) -> tuple[dict[str, Any], Any]:
+    with _damage_told(path), safe_open(path, "pt") as file:
+        return json.loads(file.metadata()["header"]), read(file)
+
+
+@contextmanager
+def _damage_told(path: Path) -> Iterator[None]:
     try:
-        with safe_open(path, "pt") as file:
-            return json.loads(file.metadata()["header"]), read(file)
+        yield
     except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
-        raise UserError(
-            f"Shard {path} is damaged or missing ({error}); delete it and run the preprocessing again."
-        ) from None
+        raise UserError(f"{path} is damaged or missing ({error}); delete it and run the preprocessing again.") from None
