@@ -160,6 +160,37 @@ def test_a_full_disk_ends_in_a_sentence_and_the_last_checkpoint_stays(tiny_datas
     assert read_checkpoint(last)["epoch"] == 2
 
 
+def test_a_disk_that_fills_up_at_the_end_ends_in_a_sentence(tiny_dataset, tmp_path, cache_dir):
+    output, run_dir = tmp_path / "output.txt", tmp_path / "run"
+    more = ("test=false", "trainer.max_epochs=1", "callbacks.checkpoint=null", "callbacks.last=null")
+    overrides = tiny_overrides(tiny_dataset, run_dir, cache_dir, "coarsenet", *more)
+    train(compose("train", overrides))
+    weights = run_dir / "model.safetensors"
+    size = weights.stat().st_size
+    weights.unlink()
+    assert finish(overrides, output, max_file_bytes=size - 1) == 2
+    told = output.read_text()
+    assert told.splitlines()[-1] == (
+        f"error: {run_dir} cannot be written to (File too large): make room, or choose another run_dir; "
+        "no checkpoint was written yet."
+    )
+    assert "Traceback" not in told and not weights.exists()
+
+
+@pytest.mark.parametrize(
+    ("model", "value", "sentence"),
+    [
+        ("refinenet", "model.dropout=2", "model: dropout probability has to be between 0 and 1"),
+        ("coarsenet", "logger.csv=null", "The trainer cannot run as configured: Cannot use `LearningRateMonitor`"),
+    ],
+)
+def test_a_run_that_cannot_begin_ends_in_a_sentence(model, value, sentence, tiny_dataset, tmp_path, cache_dir):
+    output = tmp_path / "output.txt"
+    assert finish(tiny_overrides(tiny_dataset, tmp_path / "run", cache_dir, model, value), output) == 2
+    told = output.read_text()
+    assert told.splitlines()[-1].startswith(f"error: {sentence}") and "Traceback" not in told
+
+
 def test_frames_are_learned_by_heart(tiny_dataset, tmp_path, cache_dir):
     more = ("debug=overfit", "model.width=256", "model.n_hidden=128")
     overrides = [o for o in tiny_overrides(tiny_dataset, tmp_path, cache_dir) if "epochs" not in o and "batch" not in o]

@@ -17,7 +17,7 @@ from grabnet.data.batches import BatchAssembler, GraspBatch
 from grabnet.data.frames import Frames, FramesStore
 from grabnet.data.objects import OBJECT_MESHES, ObjectSet
 from grabnet.data.splits import SPLITS, split_of
-from grabnet.data.targets import Targets, compute_targets
+from grabnet.data.targets import MAX_POINTS, Targets, compute_targets
 from grabnet.errors import UserError
 
 
@@ -68,6 +68,13 @@ class GraspDataModule(L.LightningDataModule):
         prepare: Preparation | None = None,
     ):
         super().__init__()
+        least = {"batch_size": 2, "min_steps": 1, "object_points": 1, "near_points": 1, "max_frames": 2}
+        values = (batch_size, min_steps, object_points, near_points, max_frames)
+        for (name, limit), value in zip(least.items(), values, strict=True):
+            if value is not None and value < limit:  # of one frame there are no batch statistics
+                raise UserError(f"data.{name}={value} is too small: {limit} is the least.")
+        if object_points > MAX_POINTS:
+            raise UserError(f"data.object_points={object_points} is too large: {MAX_POINTS} is the most.")
         if near_points > object_points:
             raise UserError(f"data.near_points={near_points} exceeds data.object_points={object_points}.")
         self.hand, self.store_dir = hand, Path(root) / "frames"

@@ -15,6 +15,8 @@ from grabnet.geometry.nearest import NearestVertex
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.precision import full_precision
 
+MAX_POINTS = torch.iinfo(torch.int16).max  # samples of an object's surface: `Targets.near` numbers them
+
 
 @dataclass(frozen=True)
 class Targets:

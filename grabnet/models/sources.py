@@ -6,6 +6,7 @@ import torch
 
 from grabnet.body.hand import HandParameters
 from grabnet.data.batches import GraspBatch
+from grabnet.errors import UserError
 from grabnet.models.weights import load_coarsenet
 
 
@@ -18,7 +19,10 @@ class CoarseNetGuesses:
     """
 
     def __init__(self, coarsenet: str, spread: float = 1.0):
-        self.network, self.spread = load_coarsenet(coarsenet), spread
+        try:
+            self.network, self.spread = load_coarsenet(coarsenet), spread
+        except UserError as error:  # the path may be a config's default
+            raise UserError(f"model.source.coarsenet=<run folder or weights file>: {error}") from None
 
     @torch.no_grad()
     def __call__(self, batch: GraspBatch) -> HandParameters:
