@@ -162,7 +162,8 @@ def test_a_full_disk_ends_in_a_sentence_and_the_last_checkpoint_stays(tiny_datas
 
 def test_a_disk_that_fills_up_at_the_end_ends_in_a_sentence(tiny_dataset, tmp_path, cache_dir):
     output, run_dir = tmp_path / "output.txt", tmp_path / "run"
-    more = ("test=false", "trainer.max_epochs=1", "callbacks.checkpoint=null", "callbacks.last=null")
+    no_checkpoints = ("+trainer.enable_checkpointing=false", "callbacks.checkpoint=null", "callbacks.last=null")
+    more = ("test=false", "trainer.max_epochs=1", *no_checkpoints)
     overrides = tiny_overrides(tiny_dataset, run_dir, cache_dir, "coarsenet", *more)
     train(compose("train", overrides))
     weights = run_dir / "model.safetensors"
