@@ -46,6 +46,9 @@ class GraspDataModule(L.LightningDataModule):
         cache_dir: for signed-distance grids; the user's cache folder when omitted.
         seed: of sampling and shuffling.
         prepare: makes store and objects where they are missing.
+
+    Raises:
+        UserError: a number that is too small or too large.
     """
 
     def __init__(
@@ -68,11 +71,15 @@ class GraspDataModule(L.LightningDataModule):
         prepare: Preparation | None = None,
     ):
         super().__init__()
-        least = {"batch_size": 2, "min_steps": 1, "object_points": 1, "near_points": 1, "max_frames": 2}
-        values = (batch_size, min_steps, object_points, near_points, max_frames)
-        for (name, limit), value in zip(least.items(), values, strict=True):
-            if value is not None and value < limit:  # of one frame there are no batch statistics
-                raise UserError(f"data.{name}={value} is too small: {limit} is the least.")
+        for name, value, least in (
+            ("batch_size", batch_size, 2),  # of one frame there are no batch statistics
+            ("min_steps", min_steps, 1),
+            ("object_points", object_points, 1),
+            ("near_points", near_points, 1),
+            ("max_frames", max_frames, 2),
+        ):
+            if value is not None and value < least:
+                raise UserError(f"data.{name}={value} is too small: {least} is the least.")
         if object_points > MAX_POINTS:
             raise UserError(f"data.object_points={object_points} is too large: {MAX_POINTS} is the most.")
         if near_points > object_points:
