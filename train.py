@@ -4,21 +4,14 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from grabnet.cli import hydra_entry
-from grabnet.errors import UserError
 
 
 @hydra_entry("train")
 def main(cfg: DictConfig) -> float:
-    # Slow to import: a mistyped command should not wait for them.
-    from lightning.fabric.utilities.exceptions import MisconfigurationException
-
-    from grabnet.training_run import train
+    from grabnet.training_run import train  # slow to import: a mistyped command should not wait for it
 
     cfg.run_dir = HydraConfig.get().runtime.output_dir
-    try:
-        return train(cfg)[cfg.objective]
-    except MisconfigurationException as error:  # such as a callback without the logger that it needs
-        raise UserError(f"The trainer cannot run as configured: {' '.join(str(error).split())}") from None
+    return train(cfg)[cfg.objective]
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ import lightning as L
 import torch
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
+from lightning.fabric.utilities.exceptions import MisconfigurationException
 from omegaconf import DictConfig, OmegaConf
 
 from grabnet.cli import fail
@@ -52,11 +53,14 @@ def train(cfg: DictConfig) -> dict[str, float]:
 
     Raises:
         UserError: the training diverged or had no time, the disk takes no more, a begun run is to go on with other
-            settings or has no checkpoint that can be read, or the trainer's devices are not to be had.
+            settings or has no checkpoint that can be read, or the trainer cannot be had or run as configured.
     """
     run_dir = Path(cfg.run_dir)
-    with _disk_errors_told(run_dir):
-        return _train(cfg, run_dir)
+    try:
+        with _disk_errors_told(run_dir):
+            return _train(cfg, run_dir)
+    except MisconfigurationException as error:  # such as a callback without the logger that it needs
+        raise UserError(f"The trainer cannot run as configured: {' '.join(str(error).split())}") from None
 
 
 def _train(cfg: DictConfig, run_dir: Path) -> dict[str, float]:

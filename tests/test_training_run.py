@@ -183,6 +183,7 @@ def test_a_disk_that_fills_up_at_the_end_ends_in_a_sentence(tiny_dataset, tmp_pa
     [
         ("refinenet", "model.dropout=2", "model: dropout probability has to be between 0 and 1"),
         ("coarsenet", "logger.csv=null", "The trainer cannot run as configured: Cannot use `LearningRateMonitor`"),
+        ("coarsenet", "model.optimizer.lr=-1", "model.optimizer or model.scheduler: Invalid learning rate: -1"),
     ],
 )
 def test_a_run_that_cannot_begin_ends_in_a_sentence(model, value, sentence, tiny_dataset, tmp_path, cache_dir):

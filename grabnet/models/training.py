@@ -14,6 +14,7 @@ from torch.distributions import Normal
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.data.batches import GraspBatch
 from grabnet.data.splits import SPLITS
+from grabnet.errors import UserError
 from grabnet.geometry.bps import BPS
 from grabnet.losses.grasp import CoarseNetLoss, RefineNetLoss
 from grabnet.models.coarsenet import CoarseNet
@@ -52,8 +53,11 @@ class GraspTraining(L.LightningModule, ABC):
         return {"": self.network}
 
     def configure_optimizers(self) -> dict[str, Any]:
-        optimizer = self.make_optimizer(self.network.parameters())
-        schedule = {"scheduler": self.make_scheduler(optimizer), "monitor": "val/loss", "strict": False}
+        try:
+            optimizer = self.make_optimizer(self.network.parameters())
+            schedule = {"scheduler": self.make_scheduler(optimizer), "monitor": "val/loss", "strict": False}
+        except (ValueError, TypeError) as error:
+            raise UserError(f"model.optimizer or model.scheduler: {error}") from None
         return {"optimizer": optimizer, "lr_scheduler": schedule}
 
     def lr_scheduler_step(self, scheduler: Any, metric: Any) -> None:
