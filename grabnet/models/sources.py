@@ -6,7 +6,7 @@ import torch
 
 from grabnet.body.hand import HandParameters
 from grabnet.data.batches import GraspBatch
-from grabnet.models.weights import load_coarsenet
+from grabnet.models.weights import load_coarsenet, weights_file
 
 
 class CoarseNetGuesses:
@@ -18,7 +18,8 @@ class CoarseNetGuesses:
     """
 
     def __init__(self, coarsenet: str, spread: float = 1.0):
-        self.network, self.spread = load_coarsenet(coarsenet), spread
+        self.file, self.spread = weights_file(coarsenet), spread
+        self.network = load_coarsenet(self.file)
 
     @torch.no_grad()
     def __call__(self, batch: GraspBatch) -> HandParameters:
