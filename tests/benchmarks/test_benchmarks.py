@@ -10,6 +10,7 @@ from omegaconf import OmegaConf
 from grabnet.benchmarks.physics import CONFIG
 from grabnet.benchmarks.run import SUITES, Benchmark
 from grabnet.benchmarks.timing import Case, measure
+from grabnet.cli import CONFIGS
 from grabnet.errors import UserError
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "benchmark.py"
@@ -67,6 +68,12 @@ def test_suites_write_their_figures(tmp_path, monkeypatch, suite):
         assert timing["median"] > 0
         assert all(ratio > 0 for ratio in timing["ratios"].values())
     assert any(timing["ratios"] for timing in report["timings"])
+
+
+@pytest.mark.parametrize(("suite", "batch"), [("train", 256), ("hand", 32)])
+def test_the_batch_is_the_suites_unless_told(suite, batch):
+    standard = OmegaConf.load(CONFIGS / "benchmark.yaml").batch
+    assert Benchmark(**(SETTINGS | {"suite": suite, "batch": standard})).batch == batch
 
 
 @pytest.mark.parametrize(
