@@ -87,6 +87,7 @@ def test_a_search_goes_on_where_it_was_killed(tiny_dataset, tmp_path, cache_dir)
     assert all(1e-4 <= float(run["model.optimizer.lr"]) <= 3e-3 for run in runs)
     assert {run["model.width"] for run in runs} <= {"16", "32"}
     assert len({run["model.optimizer.lr"] for run in runs}) == 5
+    assert runs[0].keys().isdisjoint({"model.loss.kl", "model.latent_dim"})  # of which v2v likes an extreme
     assert finish([*arguments, "seed=1"], output) == 2
     assert "give the same, or another sweep_dir" in output.read_text().splitlines()[-1]
 
