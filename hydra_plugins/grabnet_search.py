@@ -7,7 +7,7 @@ from typing import Any
 from hydra.core.override_parser.types import IntervalSweep, Override
 
 from grabnet.errors import UserError
-from grabnet.sweeps.runs import DONE, FAILED, PRUNED, Run
+from grabnet.sweeps.runs import DONE, PRUNED, Run
 from grabnet.sweeps.sweeper import RunSweeper, fixed
 
 STUDY = "study.log"
@@ -17,7 +17,8 @@ class SearchSweeper(RunSweeper):
     """Minimises the objective over lists of values, `interval(low, high)`, `int(interval(low, high))` and, on a
     logarithmic scale, `tag(log, interval(low, high))`.
 
-    The study is kept in the sweep's folder after every run: a killed search goes on where it was.
+    The study is kept in the sweep's folder after every run: a killed search goes on where it was, and the next command
+    tries again what failed.
 
     Args:
         n_trials: runs in all, those of earlier commands in the same folder included.
@@ -43,7 +44,7 @@ class SearchSweeper(RunSweeper):
             told = (*lines, *(f"{key}={value}" for key, value in values.items()))
             return Run(self.folder / f"trial_{trial.number:03d}", told, values)
 
-        begun = [t for t in study.trials if not t.state.is_finished()]  # by a search that was killed
+        begun = [t for t in study.trials if not t.state.is_finished()]  # by an earlier command
         while True:
             batch, begun = begun[: self.n_jobs], begun[self.n_jobs :]
             new = min(self.n_jobs - len(batch), self.n_trials - len(study.trials))
@@ -78,14 +79,11 @@ class SearchSweeper(RunSweeper):
         return study
 
     def _tell(self, study: Any, number: int, run: Run) -> None:
-        """Record what became of a trial; one that did not come back stays open for the next command."""
-        state = _optuna().trial.TrialState
+        """Record what became of a trial; one that failed or did not come back stays open for the next command."""
         if run.status == DONE:
             study.tell(number, run.metrics()[self.config.objective])
         elif run.status == PRUNED:
-            study.tell(number, state=state.PRUNED)
-        elif run.status == FAILED:
-            study.tell(number, state=state.FAIL)
+            study.tell(number, state=_optuna().trial.TrialState.PRUNED)
 
 
 def _optuna() -> Any:
