@@ -32,12 +32,19 @@ class SearchSweeper(RunSweeper):
         super().__init__(params)
         self.n_trials, self.n_jobs, self.n_startup, self.seed = n_trials, n_jobs, n_startup, seed
 
+    def check(self) -> None:
+        super().check()
+        for name, least in {"n_trials": 1, "n_jobs": 1, "n_startup": 0, "seed": 0}.items():
+            if (value := getattr(self, name)) < least:
+                raise UserError(f"hydra.sweeper.{name}={value} is too small; it must be at least {least}.")
+
     def run_all(self, overrides: list[Override]) -> list[Run]:
         space = {o.get_key_element(): _distribution(o) for o in overrides if o.is_sweep_override()}
         if not space:
             raise UserError("There is nothing to search: name values, as in model.optimizer.lr='interval(1e-4,1e-3)'.")
         lines = fixed(overrides)
         study = self._study(lines)
+        self._check_space(study, space)
 
         def run(trial: Any) -> Run:
             values = {key: str(value) for key, value in trial.params.items()}
@@ -77,6 +84,19 @@ class SearchSweeper(RunSweeper):
             )
         study.set_user_attr("overrides", told)
         return study
+
+    def _check_space(self, study: Any, space: dict[str, Any]) -> None:
+        """Keys may come and go and intervals change from command to command, but not a list or the kind of values."""
+        for trial in study.trials:
+            for key in space.keys() & trial.distributions.keys():
+                begun, now = trial.distributions[key], space[key]
+                try:
+                    _optuna().distributions.check_distribution_compatibility(begun, now)
+                except ValueError:
+                    raise UserError(
+                        f"The search in {self.folder} was begun with {key} from {begun}, which cannot become {now}: "
+                        f"give the same, or another sweep_dir."
+                    ) from None
 
     def _tell(self, study: Any, number: int, run: Run) -> None:
         """Record what became of a trial; one that failed or did not come back stays open for the next command."""

@@ -11,6 +11,7 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
 import optuna
+import pytest
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
@@ -110,8 +111,25 @@ def test_a_search_goes_on_where_it_was_killed(tiny_dataset, tmp_path, cache_dir)
     assert {run["model.width"] for run in runs} <= {"16", "32"}
     assert len({run["model.optimizer.lr"] for run in runs}) == 5
     assert runs[0].keys().isdisjoint({"model.loss.kl", "model.latent_dim"})  # of which v2v likes an extreme
-    assert finish([*arguments, "seed=1"], output) == 2
-    assert "give the same, or another sweep_dir" in output.read_text().splitlines()[-1]
+    for other in ("seed=1", "model.width=choice(16,64)"):
+        assert finish([*arguments, other], output) == 2
+        assert "give the same, or another sweep_dir" in output.read_text().splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("sweeper", "value", "sentence"),
+    [
+        ("search", "n_trials=0", "hydra.sweeper.n_trials=0 is too small; it must be at least 1."),
+        ("search", "n_jobs=0", "hydra.sweeper.n_jobs=0 is too small; it must be at least 1."),
+        ("search", "n_trials=abc", "hydra.sweeper.n_trials='abc' is of the wrong type: int is wanted."),
+        ("grid", "params={seed:'range(1,1)'}", "There is nothing to run: a swept key has no values."),
+    ],
+)
+def test_a_sweeper_that_could_not_run_is_told(sweeper, value, sentence, tmp_path):
+    output = tmp_path / "output.txt"
+    arguments = ["-m", f"hydra/sweeper={sweeper}", f"hydra.sweeper.{value}", f"sweep_dir={tmp_path}"]
+    assert finish(arguments, output) == 2, output.read_text()
+    assert output.read_text().startswith(f"error: {sentence}")
 
 
 def test_an_interrupted_cluster_job_is_requeued_and_goes_on(tiny_dataset, tmp_path, cache_dir):
