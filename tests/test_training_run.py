@@ -43,6 +43,26 @@ def test_a_run_leaves_all_its_records(model, tiny_dataset, tmp_path, cache_dir, 
         torch.testing.assert_close(value, best[f"network.{name}"])
 
 
+def test_faster_ways_learn_nearly_the_same(tiny_dataset, tmp_path, cache_dir):
+    found = {}
+    for value in ("compile=false", "compile=true", "trainer.precision=bf16-mixed"):
+        more = (value, "trainer.max_epochs=1", "test=false", "callbacks.grasps=null")
+        torch._dynamo.utils.counters.clear()
+        # Traced with its gradient, but not written in C++, which takes minutes.
+        with torch.compiler.set_stance("default", force_backend="aot_eager"):
+            metrics = train(
+                compose(
+                    "train",
+                    tiny_overrides(tiny_dataset, tmp_path / value.partition("=")[2], cache_dir, "coarsenet", *more),
+                )
+            )
+        found[value] = metrics["val/v2v"], torch._dynamo.utils.counters["aot_autograd"]["ok"]
+    (plain, none), (compiled, graphs), (half, _) = found.values()
+    assert none == 0 and graphs >= 4  # residual blocks
+    assert compiled == pytest.approx(plain, rel=1e-4)
+    assert half != plain and half == pytest.approx(plain, rel=0.02)
+
+
 def test_both_networks_go_on_end_to_end_from_trained_ones(tiny_dataset, tmp_path, cache_dir, hand):
     for model in ("coarsenet", "refinenet"):
         train(compose("train", tiny_overrides(tiny_dataset, tmp_path / model, cache_dir, model)))
