@@ -4,14 +4,21 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from grabnet.cli import hydra_entry
+from grabnet.errors import UserError
 
 
 @hydra_entry("train")
 def main(cfg: DictConfig) -> float:
-    from grabnet.training_run import train  # slow to import: a mistyped command should not wait for it
+    # Slow to import: a mistyped command should not wait for them.
+    from lightning.fabric.utilities.exceptions import MisconfigurationException
+
+    from grabnet.training_run import train
 
     cfg.run_dir = HydraConfig.get().runtime.output_dir
-    return train(cfg)[cfg.objective]
+    try:
+        return train(cfg)[cfg.objective]
+    except MisconfigurationException as error:  # such as a callback without the logger that it needs
+        raise UserError(f"The trainer cannot run as configured: {' '.join(str(error).split())}") from None
 
 
 if __name__ == "__main__":

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import difflib
 import functools
+import logging
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
@@ -22,6 +24,8 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 from grabnet.config import check
 from grabnet.errors import UserError
 
+log = logging.getLogger(__name__)
+
 CONFIGS = Path(__file__).parents[1] / "configs"
 
 
@@ -37,9 +41,8 @@ def hydra_entry(config_name: str) -> Callable[[Callable[[DictConfig], object]], 
             try:
                 return main(cfg)
             except (UserError, InstantiationException) as error:
-                # The second is how Hydra passes on what a constructor raised.
-                mistake = error if isinstance(error, UserError) else error.__cause__
-                if not isinstance(mistake, UserError):
+                mistake = error if isinstance(error, UserError) else refusal(error)
+                if mistake is None:
                     raise
                 if HydraConfig.get().mode == RunMode.MULTIRUN:  # one run of many: the others go on
                     raise mistake from None
@@ -56,6 +59,18 @@ def hydra_entry(config_name: str) -> Callable[[Callable[[DictConfig], object]], 
         return entry
 
     return decorate
+
+
+def refusal(error: InstantiationException) -> UserError | None:
+    """What a constructor refused, which Hydra passes on, in a sentence; None where it failed for another reason."""
+    cause = error.__cause__
+    if isinstance(cause, UserError):
+        return cause
+    if not isinstance(cause, ValueError | TypeError):
+        return None
+    key = str(error).rpartition("full_key: ")[2]
+    log.debug("%s was refused here:", key, exc_info=error)  # hydra.verbose=true, for those who write such a constructor
+    return UserError(f"{key}: {' '.join(str(cause).split())}")
 
 
 def fail(error: UserError) -> NoReturn:
@@ -82,6 +97,21 @@ def _rehearse(config_name: str, arguments: list[str]) -> None:
     for i, values in enumerate(choices):
         for value in values[1:]:
             compose(config_name, [*first[:i], value, *first[i + 1 :]])
+    _try_folder(is_sweep=not {"-m", "--multirun"}.isdisjoint(arguments))
+
+
+def _try_folder(is_sweep: bool) -> None:
+    """Raise a `UserError` where Hydra could not make the folder of the composed run or sweep, or write to it."""
+    settings = HydraConfig.get()
+    if settings.output_subdir is None:  # it writes nothing
+        return
+    name, folder = ("sweep_dir", settings.sweep.dir) if is_sweep else ("run_dir", settings.run.dir)
+    path = Path(folder).absolute()
+    try:
+        # Not the folder itself: in its name is the time, which will be another when Hydra makes it.
+        tempfile.TemporaryDirectory(dir=next(p for p in (path, *path.parents) if p.exists())).cleanup()
+    except OSError as error:
+        raise UserError(f"{folder} cannot be written to ({error.strerror}): choose another {name}.") from None
 
 
 def _choices(override: Override) -> list[str]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import inspect
+import pydoc
 import types
 import typing
 from typing import Any
 
-from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from grabnet.errors import UserError
@@ -39,7 +39,7 @@ def _walk(node: Any, path: str) -> None:
 
 
 def _check_target(node: DictConfig, path: str) -> None:
-    target = get_object(node["_target_"])
+    target = _located(node["_target_"], path)
     signature = inspect.signature(target)
     parameters = {n: p for n, p in signature.parameters.items() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)}
     takes_any = len(parameters) < len(signature.parameters)
@@ -56,6 +56,17 @@ def _check_target(node: DictConfig, path: str) -> None:
             wanted = getattr(hints[key], "__name__", str(hints[key]))
             name = f"{path}.{key}".lstrip(".")
             raise UserError(f"{name}={value!r} is of the wrong type: {wanted} is wanted.")
+
+
+def _located(target: str, path: str) -> Any:
+    """What a `_target_` names. (Hydra's own look-up writes to the log what it does not find.)"""
+    try:
+        found = pydoc.locate(target)
+    except pydoc.ErrorDuringImport as error:
+        raise UserError(f"{path}._target_={target} cannot be imported ({error.value}).") from None
+    if found is None:
+        raise UserError(f"{path}._target_={target} does not exist.")
+    return found
 
 
 def _fits(value: Any, hint: Any) -> bool:

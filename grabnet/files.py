@@ -16,8 +16,9 @@ import numpy as np
 
 from grabnet.errors import UserError
 
-# What a disk says that takes no more.
+# What a disk says that takes no more, and a place where no folder can be made.
 DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES}
+DISK_ERRORS |= {errno.EPERM, errno.ENOTDIR, errno.ENOENT}
 
 
 @contextmanager
@@ -50,6 +51,15 @@ def leftovers(folder: str | Path, *names: str) -> list[Path]:
     """
     patterns = [Path(name).parent / f".{Path(name).stem}-????????{Path(name).suffix}" for name in names]
     return [path for pattern in patterns for path in Path(folder).glob(str(pattern)) if path.is_file()]
+
+
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write bytes atomically.
+
+    Tensors, too, are made bytes first, by safetensors' `save`: of a full disk its `save_file` makes no OSError.
+    """
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)
 
 
 def write_json(path: str | Path, value: Any) -> None:

@@ -31,11 +31,14 @@ class History(L.Callback):
         self.epochs: list[Epoch] = []
 
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        # Lightning forgets that a run had stopped early, and would train it an epoch longer each time it goes on.
+        trainer.should_stop |= any(getattr(callback, "stopped_epoch", 0) for callback in trainer.callbacks)
         self._begun = time.monotonic() - (self.epochs[-1]["seconds"] if self.epochs else 0.0)
 
     def on_train_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         metrics = {name: float(value) for name, value in trainer.callback_metrics.items()}
-        if self.objective not in metrics and not trainer.should_stop:  # out of time before the first validation
+        validated = (trainer.current_epoch + 1) % (trainer.check_val_every_n_epoch or 1) == 0
+        if self.objective not in metrics and validated and not trainer.should_stop:  # for which time may have run out
             raise UserError(f"objective={self.objective} is not measured; what is: {', '.join(sorted(metrics))}.")
         seconds = round(time.monotonic() - self._begun, 2)
         self.epochs.append({"epoch": trainer.current_epoch, "seconds": seconds, **metrics})

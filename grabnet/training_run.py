@@ -30,9 +30,13 @@ from grabnet.models.training import GraspTraining
 from grabnet.models.weights import FILE_NAME, save_network
 from grabnet.processes import OwnProcesses, started_from_outside, together
 from grabnet.provenance import provenance
+from grabnet.recipes import difference
 from grabnet.sweeps.runs import METRICS, Pruned
 
 log = logging.getLogger(__name__)
+
+# What a run is begun with and cannot change when it goes on. How long it takes and what it tells can.
+_FIXED = ("hand_model", "data", "model", "seed", "objective")
 
 
 def train(cfg: DictConfig) -> dict[str, float]:
@@ -47,8 +51,8 @@ def train(cfg: DictConfig) -> dict[str, float]:
         the metrics.
 
     Raises:
-        UserError: the training diverged, the disk takes no more, no checkpoint of a begun run can be read, or the
-            trainer's devices are not to be had.
+        UserError: the training diverged or had no time, the disk takes no more, a begun run is to go on with other
+            settings or has no checkpoint that can be read, or the trainer's devices are not to be had.
     """
     run_dir = Path(cfg.run_dir)
     with _disk_errors_told(run_dir):
@@ -64,6 +68,8 @@ def _train(cfg: DictConfig, run_dir: Path) -> dict[str, float]:
     history = History(cfg.objective)
     trainer = _trainer(cfg, history)
     if trainer.is_global_zero:
+        if cfg.resume and newest_whole(run_dir / "checkpoints"):
+            _refuse_other_settings(run_dir / "config.yaml", cfg)
         with replacing(run_dir / "config.yaml") as temporary:
             OmegaConf.save(cfg, temporary, resolve=True)
         data.prepare_data()
@@ -93,6 +99,8 @@ def _fit(
         log.info("Going on from %s.", resumed)
     trainer.fit(module, datamodule=data, ckpt_path=resumed)
     metrics = best_epoch(history.epochs, cfg.objective)
+    if not any(cfg.objective in epoch for epoch in history.epochs):
+        raise UserError(f"{run_dir} ended before its first epoch did: raise trainer.max_epochs or trainer.max_time.")
     if metrics is None:
         raise UserError(f"{run_dir} diverged: {cfg.objective} was never finite; lower model.optimizer.lr.")
     if (checkpoints / BEST).exists():
@@ -107,6 +115,13 @@ def _fit(
         write_json(run_dir / METRICS, metrics)
     log.info("Weights, metrics and logs are in %s.", run_dir)
     return metrics
+
+
+def _refuse_other_settings(path: Path, cfg: DictConfig) -> None:
+    """Raise a `UserError` where the run whose config is at `path` learns something else, or otherwise, than `cfg`."""
+    begun, now = (OmegaConf.to_container(config, resolve=True) for config in (OmegaConf.load(path), cfg))
+    if changed := difference({key: begun.get(key) for key in _FIXED}, {key: now[key] for key in _FIXED}):
+        raise UserError(f"{path.parent} was {changed}: choose another run_dir, or begin it anew with resume=false.")
 
 
 def _trainer(cfg: DictConfig, history: History) -> L.Trainer:
@@ -139,10 +154,11 @@ def _disk_errors_told(run_dir: Path) -> Iterator[None]:
 
 
 def _quiet() -> None:
-    """Drop Lightning's advice that does not apply (batches are made on the device, no worker could help) and what it
-    says of its own use of torch."""
+    """Drop Lightning's advice that does not apply (batches are made on the device, no worker could help; schedules that
+    watch a metric are stepped by the module) and what it says of its own use of torch."""
     warnings.filterwarnings("ignore", message=".*LeafSpec.*is deprecated.*")
     warnings.filterwarnings("ignore", message=".*does not have many workers.*")
+    warnings.filterwarnings("ignore", message="ReduceLROnPlateau conditioned on metric .* not available")
     warnings.filterwarnings("ignore", message=".*Checkpoint directory .* exists and is not empty.*")
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
 

@@ -8,6 +8,8 @@ import os
 import resource
 import runpy
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
@@ -37,6 +39,17 @@ def finish(arguments: list[str], output: Path, max_file_bytes: int | None = None
     process.join()
     assert process.exitcode is not None
     return process.exitcode
+
+
+@contextmanager
+def files_of_at_most(n_bytes: int) -> Iterator[None]:
+    """Writing more to any file fails in this process, as on a full disk."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 def _command(arguments: list[str], output: Path, max_file_bytes: int | None, script: str) -> None:

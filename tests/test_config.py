@@ -6,12 +6,16 @@ from pathlib import Path
 
 import hydra
 import pytest
+import torch
 from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import InstantiationException
+from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from grabnet.cli import CONFIGS, compose
+from grabnet.cli import CONFIGS, compose, refusal
 from grabnet.config import check
 from grabnet.errors import UserError
+from train import main
 
 ROOT = Path(__file__).parents[1]
 
@@ -25,6 +29,8 @@ ROOT = Path(__file__).parents[1]
         ("model.latent_dim=abc", "model.latent_dim='abc' is of the wrong type: int is wanted."),
         ("data=frames", "The config value data.root must be given on the command line."),
         ("model.latent_dim=", "model.latent_dim='' is of the wrong type"),
+        ("model.optimizer._target_=torch.optim.Nope", "model.optimizer._target_=torch.optim.Nope does not exist."),
+        ("model.optimizer._target_=antigravitee.Adam", "model.optimizer._target_=antigravitee.Adam does not exist."),
     ],
 )
 def test_the_mistake_is_named(argument, sentence):
@@ -40,10 +46,37 @@ def test_the_command_says_it_in_a_line_and_leaves(argument):
     assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize("arguments", [["run_dir={}/run"], ["-m", "seed=0,1", "sweep_dir={}/run"]])
+def test_a_folder_that_cannot_be_made_is_told(arguments, tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(sys, "argv", ["train.py", *(a.format(tmp_path / "file") for a in arguments)])
+    with pytest.raises(SystemExit) as left:
+        main()
+    name = arguments[-1].partition("=")[0]
+    sentence = f"{tmp_path}/file/run cannot be written to (Not a directory): choose another {name}."
+    assert left.value.code == 2 and capsys.readouterr().err == f"error: {sentence}\n"
+
+
 @pytest.mark.parametrize("group", ["experiment", "model", "debug", "trainer", "callbacks", "logger"])
 def test_every_choice_composes(group):
     for file in (CONFIGS / group).glob("*.yaml"):
         assert compose("train", [f"{group}={file.stem}"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["model.bps.n_points=0"], "n_points is 0; a basis needs at least 1 point."),
+        (["model.loss.root=0"], "root is 0; no such root of the contact weights can be taken: it must be above 0."),
+        (["model=refinenet", "model.iterations=0"], "iterations is 0; RefineNet needs at least 1 to correct anything."),
+        (["model=refinenet", "model.dropout=2"], "model: dropout probability has to be between 0 and 1, but got 2"),
+    ],
+)
+def test_what_a_constructor_refuses_is_told(arguments, sentence, hand):
+    cfg = compose("train", arguments)
+    with pytest.raises(InstantiationException) as caught:
+        instantiate(cfg.model, hand=hand, contact=torch.ones(len(hand.v_template)))
+    assert str(refusal(caught.value)) == sentence
 
 
 def sample_target(size: int, rate: float = 0.1, name: str | None = None) -> None: ...

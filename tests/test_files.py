@@ -4,9 +4,18 @@ import hashlib
 
 import numpy as np
 import pytest
+import torch
 
+from grabnet.data.frames import finish_store
 from grabnet.errors import UserError
 from grabnet.files import existing, replacing, sha256, write_json
+from grabnet.geometry.bps import BPS
+from grabnet.geometry.sdf_grid import Level, SDFGrid
+from grabnet.models.coarsenet import CoarseNet
+from grabnet.models.weights import save_network
+from grabnet.open.grasps.store import load_open_grasps, save_open_grasps
+from grabnet.physics import decomposition
+from tests.processes import files_of_at_most
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -18,6 +27,28 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
         raise RuntimeError
     assert path.read_text() == before
     assert [p.name for p in tmp_path.iterdir()] == ["result.json"]
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda folder: save_network(folder / "a.safetensors", CoarseNet(BPS(64), width=32, n_hidden=16), {}),
+        lambda folder: SDFGrid(*(Level((0.0,) * 3, 1.0, torch.zeros(16, 16, 16).half()) for _ in range(2))).save(
+            folder / "a.safetensors"
+        ),
+        lambda folder: finish_store(folder, {"s1": torch.zeros(778, 3)}, [], {}),
+        lambda folder: finish_store(folder, {"s1": torch.zeros(1, 3)}, [], {}, contact=torch.zeros(2000)),
+        lambda folder: save_open_grasps(folder / "a.safetensors", load_open_grasps()),
+        lambda folder: decomposition._save(
+            decomposition._Found([np.zeros((2000, 3), np.float32)], None), folder / "a.safetensors"
+        ),
+    ],
+    ids=["network", "grid", "subjects", "contact", "grasps", "pieces"],
+)
+def test_a_full_disk_is_an_os_error_whatever_is_written(write, tmp_path):
+    with files_of_at_most(4096), pytest.raises(OSError, match="File too large"):
+        write(tmp_path)
+    assert not [p for p in tmp_path.iterdir() if p.stat().st_size > 4096 or p.name.startswith(".")]
 
 
 def test_folders_are_made_and_modes_are_ordinary(tmp_path):

@@ -1,6 +1,7 @@
 import torch
 
 from grabnet.body.hand import HandParameters
+from grabnet.data.datamodule import GraspDataModule
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.rotations import random_rotations
 from grabnet.models.coarsenet import CoarseNet
@@ -13,6 +14,23 @@ def test_products_are_exact_within_and_half_without():
         exact, rough = full_precision(torch.matmul)(a, b), a @ b
     assert torch.equal(exact, a @ b)
     assert rough.dtype == torch.bfloat16
+
+
+def test_hands_and_what_they_are_compared_with_are_exact_whatever_the_precision(tiny_dataset, hand, cache_dir):
+    def measured(precision: str) -> tuple[torch.Tensor, ...]:
+        torch.set_float32_matmul_precision(precision)
+        try:
+            data = GraspDataModule(hand, str(tiny_dataset), ["can"], ["ring"], cache_dir=str(cache_dir))
+            data.setup()
+            torch.manual_seed(0)
+            batch = data.assemble("train", torch.arange(40), turn=True)
+            assert torch.get_float32_matmul_precision() == precision
+        finally:
+            torch.set_float32_matmul_precision("highest")
+        return batch.vertices, batch.distances, batch.points, batch.point_distances
+
+    for exact, found in zip(measured("highest"), measured("medium"), strict=True):
+        assert torch.equal(exact, found)
 
 
 def test_half_precision_stops_before_the_hand(hand):

@@ -113,6 +113,49 @@ def test_a_run_killed_again_and_again_ends_as_if_nothing_had_happened(tiny_datas
     assert [epoch["epoch"] for epoch in read_history(broken)] == list(range(14))
 
 
+def test_a_run_that_had_stopped_early_is_over(tiny_dataset, tmp_path, cache_dir):
+    """Also where it was killed between its last checkpoint and its metrics."""
+    more = ("trainer.max_epochs=50", "callbacks.early_stopping.patience=1", "model.optimizer.lr=0.06", "test=false")
+    overrides = tiny_overrides(tiny_dataset, tmp_path, cache_dir, "coarsenet", *more)
+    metrics, epochs = train(compose("train", overrides)), read_history(tmp_path)
+    assert len(epochs) < 50
+    weights = load_coarsenet(tmp_path).state_dict()
+    for name in ("metrics.json", "model.safetensors"):
+        (tmp_path / name).unlink()
+    assert train(compose("train", overrides)) == metrics
+    assert read_history(tmp_path) == epochs
+    for name, value in load_coarsenet(tmp_path).state_dict().items():
+        assert torch.equal(weights[name], value), name
+
+
+def test_a_run_goes_on_with_the_settings_it_began_with(tiny_dataset, tmp_path, cache_dir):
+    def run(*more: str) -> None:
+        train(compose("train", tiny_overrides(tiny_dataset, tmp_path, cache_dir, "coarsenet", "test=false", *more)))
+
+    run("trainer.max_epochs=1")
+    with pytest.raises(UserError, match=r"was begun with model\.width=32, now it is 16: choose another run_dir, or .*"):
+        run("model.width=16")
+    with pytest.raises(UserError, match=r"was begun with seed=0, now it is 1"):
+        run("seed=1", "data.seed=0")
+    run("trainer.max_epochs=2", "logger.csv.name=more")
+    assert [epoch["epoch"] for epoch in read_history(tmp_path)] == [0, 1]
+    run("trainer.max_epochs=1", "model.width=16", "resume=false")
+    assert load_coarsenet(tmp_path).pose.in_features == 16
+
+
+def test_a_run_without_time_for_an_epoch_says_so(tiny_dataset, tmp_path, cache_dir):
+    overrides = tiny_overrides(tiny_dataset, tmp_path, cache_dir, "coarsenet", "trainer.max_epochs=0", "test=false")
+    with pytest.raises(UserError, match=r"before its first epoch did: raise trainer\.max_epochs or trainer\.max_time"):
+        train(compose("train", overrides))
+
+
+def test_validation_may_be_of_every_second_epoch(tiny_dataset, tmp_path, cache_dir):
+    more = ("trainer.max_epochs=4", "+trainer.check_val_every_n_epoch=2", "test=false")
+    metrics = train(compose("train", tiny_overrides(tiny_dataset, tmp_path, cache_dir, "coarsenet", *more)))
+    assert metrics["epoch"] in (1, 3)
+    assert "val/loss" not in read_history(tmp_path)[0]
+
+
 def test_a_damaged_checkpoint_gives_way_to_the_one_before(tiny_dataset, tmp_path, cache_dir, caplog):
     overrides = tiny_overrides(tiny_dataset, tmp_path, cache_dir, "coarsenet", "test=false")
     train(compose("train", overrides))
@@ -150,6 +193,38 @@ def test_a_full_disk_ends_in_a_sentence_and_the_last_checkpoint_stays(tiny_datas
     assert {p.name for p in last.parent.iterdir()} == {"best.ckpt", "last.ckpt"}  # nothing half-written is left
     assert finish(overrides(3), output) == 0
     assert read_checkpoint(last)["epoch"] == 2
+
+
+def test_a_disk_that_fills_up_at_the_end_ends_in_a_sentence(tiny_dataset, tmp_path, cache_dir):
+    output, run_dir = tmp_path / "output.txt", tmp_path / "run"
+    no_checkpoints = ("+trainer.enable_checkpointing=false", "callbacks.checkpoint=null", "callbacks.last=null")
+    more = ("test=false", "trainer.max_epochs=1", *no_checkpoints)
+    overrides = tiny_overrides(tiny_dataset, run_dir, cache_dir, "coarsenet", *more)
+    train(compose("train", overrides))
+    weights = run_dir / "model.safetensors"
+    size = weights.stat().st_size
+    weights.unlink()
+    assert finish(overrides, output, max_file_bytes=size - 1) == 2
+    told = output.read_text()
+    assert told.splitlines()[-1] == (
+        f"error: {run_dir} cannot be written to (File too large): make room, or choose another run_dir; "
+        "no checkpoint was written yet."
+    )
+    assert "Traceback" not in told and not weights.exists()
+
+
+@pytest.mark.parametrize(
+    ("model", "value", "sentence"),
+    [
+        ("refinenet", "model.dropout=2", "model: dropout probability has to be between 0 and 1"),
+        ("coarsenet", "logger.csv=null", "The trainer cannot run as configured: Cannot use `LearningRateMonitor`"),
+    ],
+)
+def test_a_run_that_cannot_begin_ends_in_a_sentence(model, value, sentence, tiny_dataset, tmp_path, cache_dir):
+    output = tmp_path / "output.txt"
+    assert finish(tiny_overrides(tiny_dataset, tmp_path / "run", cache_dir, model, value), output) == 2
+    told = output.read_text()
+    assert told.splitlines()[-1].startswith(f"error: {sentence}") and "Traceback" not in told
 
 
 def test_frames_are_learned_by_heart(tiny_dataset, tmp_path, cache_dir):

@@ -31,16 +31,17 @@ def forward_kinematics(
         rotations (B, J, 3, 3) and positions (B, J, 3). The root stays at its rest position.
     """
     batch = len(rotations)
-    # Taken apart and put together as wholes: the gradient of indexing is a full tensor for every joint.
-    local = rotations.unbind(1)
+    # Taken apart and put together as wholes: the gradient of indexing is a full tensor for every joint, and on a GPU
+    # lists of indices are waited for.
+    local, rest = rotations.unbind(1), joints.unbind(1)
     world: list[Tensor | None] = [None] * len(parents)
     position: list[Tensor | None] = [None] * len(parents)
     for joint in levels[0]:
-        world[joint], position[joint] = local[joint], joints[:, joint].expand(batch, 3)
+        world[joint], position[joint] = local[joint], rest[joint].expand(batch, 3)
     for level in levels[1:]:
         above = [parents[j] for j in level]
         parent_rotation = torch.stack([world[p] for p in above], 1)
-        offset = (joints[:, level] - joints[:, above]).unsqueeze(-1)
+        offset = torch.stack([rest[j] - rest[p] for j, p in zip(level, above, strict=True)], 1).unsqueeze(-1)
         at = torch.stack([position[p] for p in above], 1) + (parent_rotation @ offset).squeeze(-1)
         turned = parent_rotation @ torch.stack([local[j] for j in level], 1)
         for joint, rotation, place in zip(level, turned.unbind(1), at.unbind(1), strict=True):

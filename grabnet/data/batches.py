@@ -13,6 +13,7 @@ from grabnet.data.frames import Frames
 from grabnet.data.objects import ObjectSet
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.rotations import about_z, axis_angle_to_matrix
+from grabnet.precision import full_precision
 
 if TYPE_CHECKING:
     from grabnet.data.targets import Targets
@@ -70,6 +71,7 @@ class BatchAssembler(nn.Module):
         self.object_set = object_set
         self.register_buffer("v_template", v_template, False)
 
+    @full_precision
     def measured(self, frames: Frames) -> tuple[Tensor, Tensor]:
         """Posed vertices (N, V, 3) of the frames and their distances (N, V) to the object, metres."""
         vertices = self.hand(frames.hand(), self.v_template[frames.subject]).vertices
@@ -77,6 +79,7 @@ class BatchAssembler(nn.Module):
         return vertices, self.object_set.distances(vertices, frames.object, rotations)
 
     @torch.no_grad()
+    @full_precision
     def forward(self, frames: Frames, targets: Targets, turn: bool) -> GraspBatch:
         """Assemble.
 

@@ -17,7 +17,7 @@ from grabnet.data.batches import BatchAssembler, GraspBatch
 from grabnet.data.frames import Frames, FramesStore
 from grabnet.data.objects import OBJECT_MESHES, ObjectSet
 from grabnet.data.splits import SPLITS, split_of
-from grabnet.data.targets import Targets, compute_targets
+from grabnet.data.targets import MAX_POINTS, Targets, compute_targets
 from grabnet.errors import UserError
 
 
@@ -46,6 +46,9 @@ class GraspDataModule(L.LightningDataModule):
         cache_dir: for signed-distance grids; the user's cache folder when omitted.
         seed: of sampling and shuffling.
         prepare: makes store and objects where they are missing.
+
+    Raises:
+        UserError: a number that is too small or too large.
     """
 
     def __init__(
@@ -68,6 +71,17 @@ class GraspDataModule(L.LightningDataModule):
         prepare: Preparation | None = None,
     ):
         super().__init__()
+        for name, value, least in (
+            ("batch_size", batch_size, 2),  # of one frame there are no batch statistics
+            ("min_steps", min_steps, 1),
+            ("object_points", object_points, 1),
+            ("near_points", near_points, 1),
+            ("max_frames", max_frames, 2),
+        ):
+            if value is not None and value < least:
+                raise UserError(f"data.{name}={value} is too small: {least} is the least.")
+        if object_points > MAX_POINTS:
+            raise UserError(f"data.object_points={object_points} is too large: {MAX_POINTS} is the most.")
         if near_points > object_points:
             raise UserError(f"data.near_points={near_points} exceeds data.object_points={object_points}.")
         self.hand, self.store_dir = hand, Path(root) / "frames"

@@ -12,19 +12,20 @@ The same frames give the same bytes, whenever and wherever they are written.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor
 
 from grabnet.body.hand import HandParameters
 from grabnet.errors import UserError
-from grabnet.files import existing, replacing, write_json
+from grabnet.files import existing, write_bytes, write_json
 from grabnet.geometry.rotations import axis_angle_to_matrix
 
 FORMAT = 3
@@ -110,16 +111,19 @@ class FramesStore:
         """Read a finished store.
 
         Raises:
-            UserError: no store there, unfinished, of another format, or a damaged shard.
+            UserError: no store there, unfinished, empty, of another format, or damaged.
         """
         root = Path(root)
-        card = json.loads(existing(root / "store.json", "Frames store").read_text())
+        card = _read_card(root)
         if card.get("format") != FORMAT:
             raise UserError(
                 f"{root} is a frames store of format {card.get('format')}, and {FORMAT} is read here: make it anew."
             )
-        v_template = load_file(root / "subjects.safetensors")["v_template"]
         subjects, objects, sequences = card["subjects"], card["objects"], card["sequences"]
+        if not sequences:
+            raise UserError(f"The frames store {root} is empty: delete it and make it anew.")
+        with _damage_told(subjects_file := root / "subjects.safetensors"):
+            v_template = load_file(subjects_file)["v_template"]
         return cls(subjects, objects, sequences, v_template, read_frames(root, subjects, objects, sequences), card)
 
 
@@ -181,8 +185,7 @@ def write_shard(
             raise ValueError(f"{sequence}: {name} has shape {tuple(tensors[name].shape)}, expected (N, {width})")
     # In one value: safetensors writes several in an order that changes from process to process.
     facts = json.dumps({"subject": subject, "object": object_name, **header})
-    with replacing(shard_path(root, sequence)) as temporary:
-        temporary.write_bytes(save(tensors, {"header": facts}))  # a full disk raises OSError, unlike with save_file
+    write_bytes(shard_path(root, sequence), save(tensors, {"header": facts}))
 
 
 def read_header(path: str | Path) -> dict[str, Any]:
@@ -211,22 +214,25 @@ def finish_store(
         contact: (V,) share of training frames in which each hand vertex touches.
     """
     root = Path(root)
-    with replacing(root / "subjects.safetensors") as temporary:
-        save_file({"v_template": torch.stack(list(v_template.values()))}, temporary)
+    write_bytes(root / "subjects.safetensors", save({"v_template": torch.stack(list(v_template.values()))}))
     if contact is not None:
-        with replacing(root / "contact.safetensors") as temporary:
-            save_file({"contact": contact}, temporary)
+        write_bytes(root / "contact.safetensors", save({"contact": contact}))
     names = {"subjects": list(v_template), "objects": sorted(objects), "sequences": shard_names(root)}
     write_json(root / "store.json", {"format": FORMAT} | names | {"provenance": provenance})
 
 
 def is_made_by(root: str | Path, recipe: dict[str, Any]) -> bool:
     """Whether a finished store is there whose provenance names this recipe."""
-    card = Path(root) / "store.json"
-    if not card.exists():
+    if not (Path(root) / "store.json").exists():
         return False
-    said = json.loads(card.read_text())
-    return said.get("format") == FORMAT and said["provenance"].get("recipe") == recipe
+    card = _read_card(Path(root))
+    return card.get("format") == FORMAT and card["provenance"].get("recipe") == recipe
+
+
+def _read_card(root: Path) -> dict[str, Any]:
+    path = existing(root / "store.json", "Frames store")
+    with _damage_told(path):
+        return dict(json.loads(path.read_text()))
 
 
 def _read_shard(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
@@ -248,10 +254,13 @@ def _noise(noisy: Tensor, true: Tensor) -> Tensor:
 
 
 def _open_shard(path: Path, read: Callable[[Any], Any]) -> tuple[dict[str, Any], Any]:
+    with _damage_told(path), safe_open(path, "pt") as file:
+        return json.loads(file.metadata()["header"]), read(file)
+
+
+@contextmanager
+def _damage_told(path: Path) -> Iterator[None]:
     try:
-        with safe_open(path, "pt") as file:
-            return json.loads(file.metadata()["header"]), read(file)
+        yield
     except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
-        raise UserError(
-            f"Shard {path} is damaged or missing ({error}); delete it and run the preprocessing again."
-        ) from None
+        raise UserError(f"{path} is damaged or missing ({error}); delete it and run the preprocessing again.") from None

@@ -13,6 +13,9 @@ from grabnet.data.batches import BatchAssembler
 from grabnet.data.frames import Frames
 from grabnet.geometry.nearest import NearestVertex
 from grabnet.geometry.rotations import axis_angle_to_matrix
+from grabnet.precision import full_precision
+
+MAX_POINTS = torch.iinfo(torch.int16).max  # samples of an object's surface: `Targets.near` numbers them
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,7 @@ class Targets:
 
 
 @torch.no_grad()
+@full_precision
 def compute_targets(frames: Frames, assembler: BatchAssembler, n_points: int, batch_size: int = 64) -> Targets:
     """Pose every frame once and measure it.
 

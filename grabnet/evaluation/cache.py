@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 from safetensors import safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from grabnet.cache import load_or_build
-from grabnet.files import replacing, sha256
+from grabnet.files import sha256, write_bytes
 
 # Part of every key: raise it when the same content and settings would give other results.
 FORMAT = 2
@@ -81,6 +81,5 @@ def _load(path: Path) -> tuple[Arrays, list[str]]:
 
 
 def _save(arrays: Arrays, path: Path, rows: Sequence[str] = ()) -> None:
-    with replacing(path) as temporary:
-        contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
-        save_file(contiguous, temporary, {"rows": json.dumps(list(rows))})
+    contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
+    write_bytes(path, save(contiguous, {"rows": json.dumps(list(rows))}))

@@ -9,7 +9,7 @@ import trimesh
 
 from grabnet.evaluation.hands import HandLabels, Hands
 from grabnet.evaluation.scene import Scene
-from grabnet.files import replacing
+from grabnet.files import replacing, write_bytes
 from grabnet.geometry.mesh import Mesh
 from grabnet.preprocess.contact import ContactAnnotator
 from grabnet.visual.pictures import OBJECT, SKIN
@@ -65,7 +65,7 @@ def write_maps(folder: Path, name: str, mesh: Mesh, hands: Hands, maps: dict[str
     share = (maps["object"] > 0).mean(0, dtype=np.float64).astype(np.float32)
     solid = _coloured(mesh.vertices, mesh.faces, blended(OBJECT, share / max(share.max(), 1e-9)))
     solid.vertex_attributes["contact"] = share
-    _write(folder / f"{name}.ply", solid.export(file_type="ply"))
+    write_bytes(folder / f"{name}.ply", solid.export(file_type="ply"))
     for i in range(min(scenes, len(hands))):
         scene = trimesh.Scene()
         for node, vertices, faces, base in (
@@ -75,7 +75,7 @@ def write_maps(folder: Path, name: str, mesh: Mesh, hands: Hands, maps: dict[str
             part = _coloured(vertices, faces, blended(base, maps[node][i] > 0))
             part.vertex_attributes["_contact"] = maps[node][i].astype(np.float32)
             scene.add_geometry(part, node_name=node, geom_name=node)
-        _write(folder / f"{name}_{i:03d}.glb", scene.export(file_type="glb"))
+        write_bytes(folder / f"{name}_{i:03d}.glb", scene.export(file_type="glb"))
 
 
 def blended(base: tuple[float, float, float], share: np.ndarray) -> np.ndarray:
@@ -87,8 +87,3 @@ def blended(base: tuple[float, float, float], share: np.ndarray) -> np.ndarray:
 def _coloured(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray) -> trimesh.Trimesh:
     rgba = np.concatenate([255 * colors, np.full((len(colors), 1), 255)], 1).round().astype(np.uint8)
     return trimesh.Trimesh(vertices, faces, vertex_colors=rgba, process=False)
-
-
-def _write(path: Path, data: bytes) -> None:
-    with replacing(path) as temporary:
-        temporary.write_bytes(data)

@@ -32,6 +32,8 @@ class BPS(nn.Module):
 
     def __init__(self, n_points: int = 4096, radius: float = 0.15, seed: int = 0):
         super().__init__()
+        if n_points < 1:
+            raise UserError(f"n_points is {n_points}; a basis needs at least 1 point.")
         generator = torch.Generator().manual_seed(seed)
         direction = torch.randn(n_points, 3, generator=generator, dtype=torch.float64)
         length = torch.rand(n_points, 1, generator=generator, dtype=torch.float64) ** (1 / 3)

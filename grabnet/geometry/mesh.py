@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 
 from grabnet.errors import UserError
-from grabnet.files import existing, replacing, sha256
+from grabnet.files import existing, sha256, write_bytes
 from grabnet.geometry.mesh_formats import read_geometry
 
 MAX_FACES = 2_000_000
@@ -124,8 +124,7 @@ def save_mesh(path: str | Path, mesh: Mesh) -> None:
     """Write `mesh` in the format of the file's suffix, in the mesh's own frame, atomically."""
     path = Path(path)
     data = mesh.trimesh().export(file_type=path.suffix.lower().lstrip("."))
-    with replacing(path) as temporary:
-        temporary.write_bytes(data.encode() if isinstance(data, str) else data)
+    write_bytes(path, data.encode() if isinstance(data, str) else data)
 
 
 def file_to_object(path: str | Path, scale: float = 1.0, up: str | None = None) -> np.ndarray:

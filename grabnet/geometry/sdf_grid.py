@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import torch
 from safetensors import safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from grabnet.cache import default_cache, load_or_build
-from grabnet.files import replacing, sha256
+from grabnet.files import sha256, write_bytes
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.sdf_sampling import sample
@@ -102,8 +102,7 @@ class SDFGrid:
         """Write as safetensors, atomically."""
         levels = {"fine": self.fine, "coarse": self.coarse}
         lattices = {name: json.dumps([level.origin, level.spacing]) for name, level in levels.items()}
-        with replacing(path) as temporary:
-            save_file({name: level.values for name, level in levels.items()}, temporary, lattices)
+        write_bytes(path, save({name: level.values for name, level in levels.items()}, lattices))
 
     @classmethod
     def load(cls, path: str | Path) -> SDFGrid:

@@ -32,7 +32,7 @@ class ReconstructionLoss(nn.Module):
         vertices_by_root: weigh the vertices by w' too, instead of by w.
 
     Raises:
-        UserError: other contact_weights.
+        UserError: other contact_weights, or a root that is not positive.
     """
 
     def __init__(
@@ -49,6 +49,8 @@ class ReconstructionLoss(nn.Module):
         super().__init__()
         if contact_weights not in ("learned", "uniform"):
             raise UserError(f"contact_weights is '{contact_weights}'; it can be learned or uniform.")
+        if root <= 0:
+            raise UserError(f"root is {root}; no such root of the contact weights can be taken: it must be above 0.")
         uniform = contact_weights == "uniform"
         likelihood = torch.ones_like(contact) if uniform else contact / contact.max().clamp_min(1e-12)
         evened = likelihood ** (1 / root)

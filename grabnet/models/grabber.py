@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.errors import UserError
+from grabnet.files import existing
 from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.mesh import Mesh, file_to_object, load_mesh
 from grabnet.geometry.queries import MeshQuery
@@ -69,7 +70,8 @@ class Grabber(nn.Module):
         Raises:
             UserError: no such networks, or trained with another hand.
         """
-        folder, hand = OPEN_GRABBER if name == "open" else Path(name), hand or HandModel.open()
+        folder = OPEN_GRABBER if name == "open" else existing(name, 'Only "open" or a folder can be named:')
+        hand = hand or HandModel.open()
         coarsenet, refinenet = (weights_file(folder / network) for network in ("coarsenet", "refinenet"))
         for path in (coarsenet, refinenet):
             check_hand(path, hand)

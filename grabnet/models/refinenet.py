@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from grabnet.body.hand import HandModel, HandParameters
+from grabnet.errors import UserError
 from grabnet.geometry.rotations import matrix_to_six_d, six_d_to_matrix
 from grabnet.models.layers import BatchNorm, Head, ResidualBlock, concatenate
 from grabnet.models.published import REFINENET, PublishedWeights
@@ -29,6 +30,8 @@ class RefineNet(nn.Module):
         self, hand: HandModel, iterations: int = 3, width: int = 512, n_hidden: int = 256, dropout: float = 0.3
     ):
         super().__init__()
+        if iterations < 1:
+            raise UserError(f"iterations is {iterations}; RefineNet needs at least 1 to correct anything.")
         self.hand = hand
         self.iterations = iterations
         n_vertices, n_joints = len(hand.v_template), len(hand.parents)

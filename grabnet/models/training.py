@@ -69,14 +69,14 @@ class GraspTraining(L.LightningModule, ABC):
 
     def configure_optimizers(self) -> dict[str, Any]:
         optimizer = self.make_optimizer(self.network.parameters())
-        schedule = {"scheduler": self.make_scheduler(optimizer), "monitor": "val/loss", "interval": "epoch"}
+        schedule = {"scheduler": self.make_scheduler(optimizer), "monitor": "val/loss", "strict": False}
         return {"optimizer": optimizer, "lr_scheduler": schedule}
 
     def lr_scheduler_step(self, scheduler: Any, metric: Any) -> None:
         if metric is None:
             super().lr_scheduler_step(scheduler, metric)
 
-    def on_train_epoch_end(self) -> None:
+    def on_validation_end(self) -> None:
         # Lightning steps a schedule that watches a metric only after the epoch's checkpoint is written: a resumed run
         # would be one step behind, and its learning rate fall later.
         for schedule in self.trainer.lr_scheduler_configs:

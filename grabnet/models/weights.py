@@ -8,12 +8,12 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import nn
 
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
-from grabnet.files import existing, replacing
+from grabnet.files import existing, write_bytes
 from grabnet.geometry.bps import BPS
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet
@@ -42,8 +42,7 @@ def save_network(
     if matrices is not None:
         layers = {name: value for name, value in tensors.items() if name.endswith(".weight") and value.dim() == 2}
         tensors |= {name: value.to(matrices) for name, value in layers.items()}
-    with replacing(path) as temporary:
-        save_file(tensors, temporary, header)
+    write_bytes(path, save(tensors, header))
 
 
 def load_coarsenet(path: str | Path) -> CoarseNet:
@@ -63,9 +62,9 @@ def load_refinenet(path: str | Path, hand: HandModel) -> RefineNet:
 
 
 def read_provenance(path: str | Path) -> dict[str, Any]:
-    """The record that `save_network` was given."""
+    """The record that `save_network` was given; empty for another's file."""
     with _opened(path) as file:
-        return json.loads(file.metadata()["provenance"])
+        return json.loads((file.metadata() or {}).get("provenance", "{}"))
 
 
 def network_kind(path: Path) -> str | None:

@@ -11,12 +11,12 @@ from typing import NamedTuple
 import numpy as np
 import pyvista
 from safetensors import safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 from scipy.spatial import ConvexHull, QhullError
 
 from grabnet.cache import default_cache, load_or_build
 from grabnet.errors import UserError
-from grabnet.files import replacing, sha256
+from grabnet.files import sha256, write_bytes
 from grabnet.geometry.intersections import MovingMesh, find_crossings
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
@@ -171,8 +171,7 @@ class _Found(NamedTuple):
 def _save(found: _Found, path: Path) -> None:
     counts = np.array([len(piece) for piece in found.pieces], np.int64)
     corners = np.concatenate([np.empty((0, 3), np.float32), *found.pieces])
-    with replacing(path) as temporary:
-        save_file({"corners": corners, "counts": counts}, temporary, {"refusal": found.refusal or ""})
+    write_bytes(path, save({"corners": corners, "counts": counts}, {"refusal": found.refusal or ""}))
 
 
 def _load(path: Path) -> _Found:

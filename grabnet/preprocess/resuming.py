@@ -15,6 +15,7 @@ from grabnet.data.splits import MIRRORED
 from grabnet.errors import UserError
 from grabnet.files import existing, leftovers, sha256, write_json
 from grabnet.preprocess.recordings import Recordings
+from grabnet.recipes import difference
 
 
 @contextmanager
@@ -52,11 +53,8 @@ def begin(store: Path, recipe: dict[str, Any]) -> None:
             raise UserError(f"{store} holds frames that were not made from recordings: {remedy}.")
         write_json(path, recipe)
         return
-    begun, now = _flat(json.loads(path.read_text())), _flat(recipe)
-    changed = [key for key in sorted(begun.keys() | now.keys()) if begun.get(key) != now.get(key)]
-    if changed:
-        key = changed[0]
-        raise UserError(f"{store} was begun with {key}={begun.get(key)}, now it is {now.get(key)}: {remedy}.")
+    if changed := difference(json.loads(path.read_text()), recipe):
+        raise UserError(f"{store} was {changed}: {remedy}.")
     for leftover in leftovers(store, "*.*", "shards/*/*.*"):
         leftover.unlink()
 
@@ -88,11 +86,3 @@ def shards_done(store: Path, recordings: Recordings, names: Collection[str], mir
                 )
     there, endings = set(shards), ("", MIRRORED) if mirrored else ("",)
     return {name for name in names if all(name + ending in there for ending in endings)}
-
-
-def _flat(facts: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested dicts as one, its keys joined by dots."""
-    flat = {}
-    for key, value in facts.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
-    return flat

@@ -172,6 +172,22 @@ def test_what_processes_cannot_share_is_an_error(batch_size, devices, sentence, 
         data.train_dataloader()
 
 
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ({"batch_size": 1}, "data.batch_size=1 is too small: 2 is the least"),
+        ({"min_steps": 0}, "data.min_steps=0 is too small: 1 is the least"),
+        ({"near_points": 0}, "data.near_points=0 is too small: 1 is the least"),
+        ({"max_frames": -1}, "data.max_frames=-1 is too small: 2 is the least"),
+        ({"object_points": 32768}, "data.object_points=32768 is too large: 32767 is the most"),
+        ({"near_points": 3000}, "data.near_points=3000 exceeds data.object_points=2048"),
+    ],
+)
+def test_wrong_values_are_told_at_once(values, sentence, hand):
+    with pytest.raises(UserError, match=sentence):
+        GraspDataModule(hand, "nowhere", **SPLIT, **values)
+
+
 def test_missing_meshes_are_named(tiny_dataset, hand, tmp_path, cache_dir):
     (tmp_path / "ball.ply").write_bytes((tiny_dataset / OBJECT_MESHES / "ball.ply").read_bytes())
     data = GraspDataModule(hand, str(tiny_dataset), **SPLIT, objects_dir=str(tmp_path), cache_dir=str(cache_dir))

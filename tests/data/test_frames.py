@@ -75,8 +75,15 @@ def test_an_unfinished_store_is_not_read(tmp_path):
         FramesStore.load(tmp_path)
 
 
-def test_a_truncated_shard_is_named(store):
-    shard = store / "shards/s1/mug_lift_1.safetensors"
-    shard.write_bytes(shard.read_bytes()[:-100])
-    with pytest.raises(UserError, match=r"mug_lift_1\.safetensors is damaged"):
+@pytest.mark.parametrize("name", ["shards/s1/mug_lift_1.safetensors", "subjects.safetensors", "store.json"])
+def test_a_truncated_file_is_named(store, name):
+    file = store / name
+    file.write_bytes(file.read_bytes()[:-50])
+    with pytest.raises(UserError, match=f"{name} is damaged"):
         FramesStore.load(store)
+
+
+def test_an_empty_store_is_told(tmp_path):
+    finish_store(tmp_path, {"s1": torch.zeros(5, 3)}, ["mug"], {})
+    with pytest.raises(UserError, match=r"The frames store .* is empty"):
+        FramesStore.load(tmp_path)

@@ -5,6 +5,7 @@ from grabnet.evaluation.cache import Cache, Table
 from grabnet.evaluation.hands import Hands
 from grabnet.evaluation.measuring import Task, measured
 from tests.evaluation.shapes import ball, moved
+from tests.processes import files_of_at_most
 
 
 @pytest.fixture
@@ -37,6 +38,15 @@ def test_a_damaged_file_costs_a_warning(cache):
     with pytest.warns(UserWarning, match="damaged"):
         found = cache.get("kind", ["a"], lambda: {"x": np.zeros(1)})
     assert found["x"] == 0
+
+
+def test_a_full_disk_costs_a_warning(cache, tmp_path):
+    table = Table(tmp_path / "t.safetensors")
+    table.add(["a"], {"x": np.zeros((1, 1000))})
+    with files_of_at_most(4096), pytest.warns(UserWarning, match="cannot be written"):
+        table.save()
+    with files_of_at_most(4096), pytest.warns(UserWarning, match="cannot be written"):
+        assert len(cache.get("kind", ["a"], lambda: {"x": np.zeros(1000)})["x"]) == 1000
 
 
 def test_a_table_keeps_rows_by_name(tmp_path):

@@ -229,8 +229,8 @@ def test_pretrained_networks_may_be_anyones(grabber, tmp_path):
     assert loaded.n_turns == 3
     for name, value in grabber.coarsenet.state_dict().items():
         torch.testing.assert_close(loaded.coarsenet.state_dict()[name], value)
-    with pytest.raises(UserError, match="does not exist"):
-        Grabber.from_pretrained(tmp_path / "mistyped")
+    with pytest.raises(UserError, match='"open" or a folder can be named: opne does not exist'):
+        Grabber.from_pretrained("opne")
 
 
 def test_shipped_weights_fit_the_box():

@@ -3,9 +3,12 @@
 import lightning as L
 import pytest
 import torch
+from hydra.errors import InstantiationException
+from hydra.utils import instantiate
 from PIL import Image
 
 from grabnet.body.anatomy import FINGERS, Anatomy
+from grabnet.cli import compose, refusal
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.data.noise import PoseNoise
 from grabnet.losses.grasp import RefineNetLoss
@@ -25,11 +28,11 @@ def data(tiny_dataset, hand, cache_dir) -> GraspDataModule:
 
 
 def unchanging(hand, contact: torch.Tensor, noise: float) -> RefineNetTraining:
-    """A RefineNet that makes no corrections."""
-    return RefineNetTraining(
+    """A RefineNet whose corrections are none."""
+    module = RefineNetTraining(
         hand,
         contact,
-        iterations=0,
+        iterations=1,
         width=8,
         n_hidden=8,
         dropout=0.3,
@@ -38,6 +41,9 @@ def unchanging(hand, contact: torch.Tensor, noise: float) -> RefineNetTraining:
         optimizer=lambda parameters: torch.optim.SGD(parameters),
         scheduler=lambda optimizer: None,
     )
+    for layer in (module.network.pose, module.network.transl):
+        torch.nn.init.zeros_(layer.weight)
+    return module
 
 
 def watched(data: GraspDataModule, module: RefineNetTraining, monitor: GraspMonitor) -> dict[str, float]:
@@ -81,6 +87,13 @@ def test_random_numbers_of_training_go_on_as_if_nobody_had_looked(data, hand, tm
         states.append(torch.random.get_rng_state())
     assert all(torch.equal(state, states[0]) for state in states)
     assert found[0] == found[2] != found[3]
+
+
+def test_wandb_is_told_how_to_be_had(monkeypatch):
+    monkeypatch.setattr("lightning.pytorch.loggers.wandb._WANDB_AVAILABLE", False)
+    with pytest.raises(InstantiationException) as caught:
+        instantiate(compose("train", ["logger=wandb", "run_dir=nowhere"]).logger.wandb)
+    assert str(refusal(caught.value)) == "logger=wandb needs wandb: pip install -e '.[wandb]'."
 
 
 def test_pictures_wait_their_epochs(data, hand, tmp_path):

@@ -49,5 +49,5 @@ def test_guesses_are_reconstructions_spread_as_asked(batch, tmp_path):
 
 
 def test_a_missing_coarsenet_is_named(tmp_path):
-    with pytest.raises(UserError, match="nowhere"):
+    with pytest.raises(UserError, match=r"model\.source\.coarsenet=.*nowhere"):
         CoarseNetGuesses(str(tmp_path / "nowhere"))

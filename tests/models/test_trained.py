@@ -1,11 +1,14 @@
 import os
 
 import pytest
+import torch
+from safetensors.torch import save
 
 from grabnet.errors import UserError
 from grabnet.files import sha256
+from grabnet.models.grabber import Grabber
 from grabnet.models.trained import OPEN_GRABBER, check_hand, find_network, find_pair
-from grabnet.models.weights import save_network
+from grabnet.models.weights import FILE_NAME, save_network
 
 
 @pytest.fixture
@@ -63,6 +66,14 @@ def test_a_pair_is_the_newest_or_the_shipped_one(runs, tmp_path):
     assert find_pair(coarsenet=coarse, runs=tmp_path / "nowhere") == (coarse, shipped[1])
     fine.unlink()
     assert find_pair(runs=runs) == shipped  # a pair trained together, not half of one
+
+
+def test_a_file_of_others_is_told(grabber, tmp_path):
+    for name, network in (("coarsenet", grabber.coarsenet), ("refinenet", grabber.refinenet)):
+        save_network(tmp_path / name / FILE_NAME, network, {})
+    (tmp_path / "coarsenet" / FILE_NAME).write_bytes(save({"weight": torch.zeros(2)}))
+    with pytest.raises(UserError, match=r"model\.safetensors holds no grabnet network, where CoarseNet is wanted"):
+        Grabber.from_pretrained(tmp_path)
 
 
 def test_another_hand_is_refused(runs, grabber, tmp_path):

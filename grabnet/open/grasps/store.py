@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import OPEN_HANDS, HandParameters
 from grabnet.errors import UserError
-from grabnet.files import existing, replacing, sha256, write_json
+from grabnet.files import existing, sha256, write_bytes, write_json
 from grabnet.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from grabnet.provenance import provenance
 
@@ -98,8 +98,7 @@ def save_open_grasps(path: str | Path, grasps: OpenGrasps) -> None:
     """Write atomically: half precision for angles (.5 mrad), single for the rest."""
     tensors = {name: getattr(grasps, name).to(dtype).contiguous() for name, dtype in _PER_GRASP.items()}
     names = {name: getattr(grasps, name) for name in ("objects", "subjects", "genders", "kinds")}
-    with replacing(path) as temporary:
-        save_file(tensors | {"betas": grasps.betas}, temporary, {"grasps": json.dumps(names | grasps.meta)})
+    write_bytes(path, save(tensors | {"betas": grasps.betas}, {"grasps": json.dumps(names | grasps.meta)}))
 
 
 def collect(found: Sequence[ObjectGrasps], betas: Tensor, config: SynthesisConfig, seed: int) -> OpenGrasps:

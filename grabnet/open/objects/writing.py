@@ -39,7 +39,7 @@ def write_objects(root: str | Path, processes: int = 2) -> list[Path]:
     try:
         (root / MESHES).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UserError(f"Cannot make {root / MESHES} ({error.strerror}); choose another --root.") from error
+        raise UserError(f"Cannot make {root / MESHES} ({error.strerror}); choose another root.") from error
 
     facts = provenance(recipe=recipe_hash())
     written = _up_to_date(root, facts["recipe"])

@@ -217,4 +217,4 @@ def test_bad_arguments_are_told_in_a_sentence(tmp_path):
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == 2
     assert ended.stderr.count("\n") == 1
-    assert "choose another --root" in ended.stderr
+    assert "choose another root" in ended.stderr
