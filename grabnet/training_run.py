@@ -95,6 +95,7 @@ def _fit(
     checkpoints = run_dir / "checkpoints"
     if trainer.is_global_zero:
         record = provenance(seed=cfg.seed, data=data.record(), hand_sha256=sha256(data.hand.v_template.numpy()))
+        record["trained_from"] = module.trained_from
         write_json(run_dir / "provenance.json", record)
         resumed = newest_whole(checkpoints) if cfg.resume else None
     resumed = trainer.strategy.broadcast(resumed if trainer.is_global_zero else None)

@@ -7,7 +7,7 @@ from typing import Any
 from hydra.core.override_parser.types import IntervalSweep, Override
 
 from grabnet.errors import UserError
-from grabnet.sweeps.runs import DONE, FAILED, PRUNED, Run
+from grabnet.sweeps.runs import DONE, PRUNED, Run
 from grabnet.sweeps.sweeper import RunSweeper, fixed
 
 STUDY = "study.log"
@@ -17,7 +17,8 @@ class SearchSweeper(RunSweeper):
     """Minimises the objective over lists of values, `interval(low, high)`, `int(interval(low, high))` and, on a
     logarithmic scale, `tag(log, interval(low, high))`.
 
-    The study is kept in the sweep's folder after every run: a killed search goes on where it was.
+    The study is kept in the sweep's folder after every run: a killed search goes on where it was, and the next command
+    tries again what failed.
 
     Args:
         n_trials: runs in all, those of earlier commands in the same folder included.
@@ -31,19 +32,26 @@ class SearchSweeper(RunSweeper):
         super().__init__(params)
         self.n_trials, self.n_jobs, self.n_startup, self.seed = n_trials, n_jobs, n_startup, seed
 
+    def check(self) -> None:
+        super().check()
+        for name, least in {"n_trials": 1, "n_jobs": 1, "n_startup": 0, "seed": 0}.items():
+            if (value := getattr(self, name)) < least:
+                raise UserError(f"hydra.sweeper.{name}={value} is too small; it must be at least {least}.")
+
     def run_all(self, overrides: list[Override]) -> list[Run]:
         space = {o.get_key_element(): _distribution(o) for o in overrides if o.is_sweep_override()}
         if not space:
             raise UserError("There is nothing to search: name values, as in model.optimizer.lr='interval(1e-4,1e-3)'.")
         lines = fixed(overrides)
         study = self._study(lines)
+        self._check_space(study, space)
 
         def run(trial: Any) -> Run:
             values = {key: str(value) for key, value in trial.params.items()}
             told = (*lines, *(f"{key}={value}" for key, value in values.items()))
             return Run(self.folder / f"trial_{trial.number:03d}", told, values)
 
-        begun = [t for t in study.trials if not t.state.is_finished()]  # by a search that was killed
+        begun = [t for t in study.trials if not t.state.is_finished()]  # by an earlier command
         while True:
             batch, begun = begun[: self.n_jobs], begun[self.n_jobs :]
             new = min(self.n_jobs - len(batch), self.n_trials - len(study.trials))
@@ -77,15 +85,25 @@ class SearchSweeper(RunSweeper):
         study.set_user_attr("overrides", told)
         return study
 
+    def _check_space(self, study: Any, space: dict[str, Any]) -> None:
+        """Keys may come and go and intervals change from command to command, but not a list or the kind of values."""
+        for trial in study.trials:
+            for key in space.keys() & trial.distributions.keys():
+                begun, now = trial.distributions[key], space[key]
+                try:
+                    _optuna().distributions.check_distribution_compatibility(begun, now)
+                except ValueError:
+                    raise UserError(
+                        f"The search in {self.folder} was begun with {key} from {begun}, which cannot become {now}: "
+                        f"give the same, or another sweep_dir."
+                    ) from None
+
     def _tell(self, study: Any, number: int, run: Run) -> None:
-        """Record what became of a trial; one that did not come back stays open for the next command."""
-        state = _optuna().trial.TrialState
+        """Record what became of a trial; one that failed or did not come back stays open for the next command."""
         if run.status == DONE:
             study.tell(number, run.metrics()[self.config.objective])
         elif run.status == PRUNED:
-            study.tell(number, state=state.PRUNED)
-        elif run.status == FAILED:
-            study.tell(number, state=state.FAIL)
+            study.tell(number, state=_optuna().trial.TrialState.PRUNED)
 
 
 def _optuna() -> Any:

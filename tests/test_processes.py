@@ -64,6 +64,7 @@ def logged(run_dir: Path, prefix: str = "") -> list[float]:
 
 
 def test_two_processes_learn_what_one_does(two, odd_dataset, tmp_path, cache_dir):
+    """RefineNet without its noise. CoarseNet cannot be compared: each process draws codes of its own."""
     train(compose("train", overrides(odd_dataset, tmp_path, cache_dir, "refinenet")))
     first, second = logged(tmp_path, "train/loss")
     assert second < 0.98 * first, "the steps are too small to tell whether they are the same"

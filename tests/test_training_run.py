@@ -9,12 +9,15 @@ import time
 
 import pytest
 import torch
+from hydra.errors import InstantiationException
 
 from grabnet.cli import compose
 from grabnet.errors import UserError
+from grabnet.files import sha256
 from grabnet.history import read_history
 from grabnet.models.checkpoints import newest_whole, read_checkpoint
-from grabnet.models.weights import load_coarsenet, load_refinenet, read_provenance
+from grabnet.models.trained import find_network
+from grabnet.models.weights import load_coarsenet, load_refinenet, read_provenance, save_network
 from grabnet.training_run import train
 from tests.processes import finish, start
 from tests.tiny import tiny_overrides
@@ -40,15 +43,47 @@ def test_a_run_leaves_all_its_records(model, tiny_dataset, tmp_path, cache_dir, 
         torch.testing.assert_close(value, best[f"network.{name}"])
 
 
+def test_faster_ways_learn_nearly_the_same(tiny_dataset, tmp_path, cache_dir):
+    found = {}
+    for value in ("compile=false", "compile=true", "trainer.precision=bf16-mixed"):
+        more = (value, "trainer.max_epochs=1", "test=false", "callbacks.grasps=null")
+        torch._dynamo.utils.counters.clear()
+        # Traced with its gradient, but not written in C++, which takes minutes.
+        with torch.compiler.set_stance("default", force_backend="aot_eager"):
+            metrics = train(
+                compose(
+                    "train",
+                    tiny_overrides(tiny_dataset, tmp_path / value.partition("=")[2], cache_dir, "coarsenet", *more),
+                )
+            )
+        found[value] = metrics["val/v2v"], torch._dynamo.utils.counters["aot_autograd"]["ok"]
+    (plain, none), (compiled, graphs), (half, _) = found.values()
+    assert none == 0 and graphs >= 4  # residual blocks
+    assert compiled == pytest.approx(plain, rel=1e-4)
+    assert half != plain and half == pytest.approx(plain, rel=0.02)
+
+
 def test_both_networks_go_on_end_to_end_from_trained_ones(tiny_dataset, tmp_path, cache_dir, hand):
     for model in ("coarsenet", "refinenet"):
         train(compose("train", tiny_overrides(tiny_dataset, tmp_path / model, cache_dir, model)))
     overrides = [o for o in tiny_overrides(tiny_dataset, tmp_path / "both", cache_dir, "grabnet") if "model." not in o]
     start = [f"model.{name}={tmp_path / name}" for name in ("coarsenet", "refinenet")]
     train(compose("train", [*overrides, *start]))
+    record = read_provenance(tmp_path / "both/refinenet")["trained_from"]
+    for kind, name in {"CoarseNet": "coarsenet", "RefineNet": "refinenet"}.items():
+        file = tmp_path / name / "model.safetensors"
+        assert record[kind] == {"file": str(file), "sha256": sha256(file)}
+        assert find_network(kind, None, tmp_path) == file
     for name, load in (("coarsenet", load_coarsenet), ("refinenet", lambda path: load_refinenet(path, hand))):
         before, after = load(tmp_path / name), load(tmp_path / "both" / name)
         assert any(not torch.equal(a, b) for a, b in zip(before.parameters(), after.parameters(), strict=True))
+    file = tmp_path / "coarsenet/model.safetensors"
+    save_network(file, load_coarsenet(file), {"hand_sha256": "0" * 64})
+    guesses = ["model=refinenet", "source@model.source=coarsenet", f"model.source.coarsenet={file}"]
+    for more in (start, guesses):
+        with pytest.raises(InstantiationException) as told:
+            train(compose("train", [*overrides, *more, f"run_dir={tmp_path / 'other'}"]))
+        assert "was trained with another hand" in str(told.value.__cause__)
 
 
 def test_a_run_killed_again_and_again_ends_as_if_nothing_had_happened(tiny_dataset, tmp_path, cache_dir):

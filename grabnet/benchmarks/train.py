@@ -15,7 +15,7 @@ from grabnet.cli import compose
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.geometry.nearest import nearest_point, nearest_point_distance
 from grabnet.geometry.rotations import matrix_to_six_d
-from grabnet.losses.terms import PointWeights, hand_to_object_l1, object_to_hand_l1, vertex_l1
+from grabnet.losses.terms import hand_to_object_l1, object_to_hand_l1, vertex_l1
 from grabnet.models.acceleration import compile_blocks, set_matmul_precision
 from grabnet.models.training import CoarseNetTraining, GraspTraining
 
@@ -56,6 +56,8 @@ class Step:
         self.alone_optimizer = module.make_optimizer(self.alone.parameters())
         self.index = torch.arange(len(data.frames("train")), device=module.hand.v_template.device)
         self.batch = data.assemble("train", self.index, turn=True)
+        faces = module.hand.faces
+        self.edges = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).sort(-1).values.unique(dim=0)
         if isinstance(module, CoarseNetTraining):
             self.features = self.batch.features(module.network.bps)
 
@@ -96,6 +98,10 @@ class Step:
 
     def plain(self) -> None:
         """As published: batch and basis points come from disk, all else is compared anew in every step."""
+        _descend(torch.stack(list(self.plain_terms().values())).sum(), self.optimizer)
+
+    def plain_terms(self) -> dict[str, Tensor]:
+        """The loss of the step's batch, by cdist: the module's own with `data.measure=samples` and all samples near."""
         batch, module, network = self.batch, self.module, self.module.network
         points = batch.object_set.points[batch.objects] @ batch.rotations.mT
         if isinstance(module, CoarseNetTraining):
@@ -104,19 +110,23 @@ class Step:
             hand = network(module.source(batch), lambda v: nearest_point_distance(v, points), batch.rest)
         vertices = module.hand(hand, batch.rest).vertices
         loss = module.loss
-        total = loss.vertex * vertex_l1(vertices, batch.vertices, loss.vertex_weight)
-        total += loss.edge * _edges(vertices - batch.vertices, module.hand.faces).abs().mean()
-        total += loss.hand_to_object * hand_to_object_l1(
-            nearest_point_distance(vertices, points),
-            nearest_point_distance(batch.vertices, points),
-            loss.distance_weight,
-        )
+        error = {
+            "vertex": vertex_l1(vertices, batch.vertices, loss.vertex_weight),
+            "edge": _along(self.edges, vertices - batch.vertices).abs().mean(),
+            "hand_to_object": hand_to_object_l1(
+                nearest_point_distance(vertices, points),
+                nearest_point_distance(batch.vertices, points),
+                loss.distance_weight,
+            ),
+        }
         if isinstance(module, CoarseNetTraining):
-            faces = module.hand.faces
-            reached, true = (_signed_distance(points, v, faces) for v in (vertices, batch.vertices))
-            total += loss.object_to_hand * object_to_hand_l1(reached, true, PointWeights())
-            total += loss.kl * torch.distributions.kl_divergence(posterior, _standard(posterior.mean)).sum(-1).mean()
-        _descend(total, self.optimizer)
+            reached, true = (_signed_distance(points, v, module.hand.faces) for v in (vertices, batch.vertices))
+            error["object_to_hand"] = object_to_hand_l1(reached, true, loss.point_weights)
+        terms = {name: (1 - loss.kl) * getattr(loss, name) * value for name, value in error.items()}
+        if isinstance(module, CoarseNetTraining):
+            divergence = torch.distributions.kl_divergence(posterior, _standard(posterior.mean))
+            terms["kl"] = loss.kl * divergence.sum(-1).mean()
+        return terms
 
 
 def _descend(loss: Tensor, optimizer: torch.optim.Optimizer) -> None:
@@ -129,8 +139,9 @@ def _standard(like: Tensor) -> torch.distributions.Normal:
     return torch.distributions.Normal(torch.zeros_like(like), torch.ones_like(like))
 
 
-def _edges(difference: Tensor, faces: Tensor) -> Tensor:
-    return torch.cat([difference[:, faces[:, k]] - difference[:, faces[:, (k + 1) % 3]] for k in range(3)], 1)
+def _along(edges: Tensor, of: Tensor) -> Tensor:
+    """(B, E, 3), from start to end of each edge, of what is at the vertices (B, V, 3)."""
+    return of[:, edges[:, 1]] - of[:, edges[:, 0]]
 
 
 def _signed_distance(queries: Tensor, vertices: Tensor, faces: Tensor) -> Tensor:

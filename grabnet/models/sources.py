@@ -7,7 +7,7 @@ import torch
 from grabnet.body.hand import HandParameters
 from grabnet.data.batches import GraspBatch
 from grabnet.errors import UserError
-from grabnet.models.weights import load_coarsenet
+from grabnet.models.weights import load_coarsenet, weights_file
 
 
 class CoarseNetGuesses:
@@ -20,7 +20,8 @@ class CoarseNetGuesses:
 
     def __init__(self, coarsenet: str, spread: float = 1.0):
         try:
-            self.network, self.spread = load_coarsenet(coarsenet), spread
+            self.file, self.spread = weights_file(coarsenet), spread
+            self.network = load_coarsenet(self.file)
         except UserError as error:  # the path may be a config's default
             raise UserError(f"model.source.coarsenet=<run folder or weights file>: {error}") from None
 

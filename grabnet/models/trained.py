@@ -34,18 +34,19 @@ def find_pair(
 
 
 def find_network(kind: str, path: str | Path | None, runs: str | Path = "runs") -> Path:
-    """Weights of a trained network.
+    """Weights of a trained network for a training to build on.
 
     Args:
         kind: "CoarseNet" or "RefineNet".
-        path: run folder or weights file; the newest complete run anywhere below `runs` when omitted.
+        path: run folder or weights file; the newest complete run anywhere below `runs` when omitted, but none that went
+            on from a trained network of its kind itself: the runs of a sweep do not start from each other.
 
     Raises:
         UserError: no such file, or no trained network of this kind below `runs`.
     """
     if path is not None:
         return weights_file(path)
-    newest = _newest(runs)
+    newest = _newest(runs, from_scratch=True)
     if kind in newest:
         return newest[kind]
     there = ", ".join(f"{file.parent} ({k})" for k, file in sorted(newest.items())) or "no trained network"
@@ -62,7 +63,13 @@ def check_hand(path: Path, hand: HandModel) -> None:
         raise UserError(f"{path} was trained with another hand model: name its file with hand_model=<MANO_RIGHT.npz>.")
 
 
-def _newest(runs: str | Path) -> dict[str, Path]:
+def _newest(runs: str | Path, from_scratch: bool = False) -> dict[str, Path]:
     """The newest weights of each kind of network anywhere below `runs`."""
     files = sorted(Path(runs).rglob(FILE_NAME), key=lambda f: f.stat().st_mtime)
-    return {kind: file for file in files if (kind := network_kind(file))}
+    kinds = ((file, network_kind(file)) for file in files)
+    return {kind: file for file, kind in kinds if kind and not (from_scratch and _went_on(file, kind))}
+
+
+def _went_on(path: Path, kind: str) -> bool:
+    """Whether a network's training began with a trained one of its kind."""
+    return kind in read_provenance(path).get("trained_from", {})

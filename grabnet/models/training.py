@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import lightning as L
@@ -15,11 +16,13 @@ from grabnet.body.hand import HandModel, HandParameters
 from grabnet.data.batches import GraspBatch
 from grabnet.data.splits import SPLITS
 from grabnet.errors import UserError
+from grabnet.files import sha256
 from grabnet.geometry.bps import BPS
 from grabnet.losses.grasp import CoarseNetLoss, RefineNetLoss
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet
-from grabnet.models.trained import find_network
+from grabnet.models.sources import CoarseNetGuesses
+from grabnet.models.trained import check_hand, find_network
 from grabnet.models.weights import load_coarsenet, load_refinenet
 
 MakeOptimizer = Callable[[Iterable[nn.Parameter]], torch.optim.Optimizer]
@@ -35,12 +38,25 @@ class GraspTraining(L.LightningModule, ABC):
         hand: poses predictions.
         optimizer: makes an optimizer of the parameters.
         scheduler: makes a learning-rate schedule of an optimizer, stepped once an epoch.
+        trained: weights files of the trained networks that it builds on, by kind.
+
+    Raises:
+        UserError: one of these was trained with another hand.
     """
 
     def __init__(
-        self, network: nn.Module, loss: nn.Module, hand: HandModel, optimizer: MakeOptimizer, scheduler: MakeScheduler
+        self,
+        network: nn.Module,
+        loss: nn.Module,
+        hand: HandModel,
+        optimizer: MakeOptimizer,
+        scheduler: MakeScheduler,
+        trained: Mapping[str, Path],
     ):
         super().__init__()
+        for path in trained.values():
+            check_hand(path, hand)
+        self.trained_from = {k: {"file": str(path), "sha256": sha256(path)} for k, path in trained.items()}
         self.network, self.loss, self.hand = network, loss, hand
         self.make_optimizer, self.make_scheduler = optimizer, scheduler
         # Several processes start from the same weights, sent by the first; all else is alike in them, and sparse
@@ -141,7 +157,7 @@ class CoarseNetTraining(GraspTraining):
         scheduler: MakeScheduler,
     ):
         network = CoarseNet(bps, latent_dim, width, n_hidden, n_joints=len(hand.parents))
-        super().__init__(network, loss(hand=hand, contact=contact), hand, optimizer, scheduler)
+        super().__init__(network, loss(hand=hand, contact=contact), hand, optimizer, scheduler, trained={})
 
     def grasp(self, batch: GraspBatch) -> Tensor:
         """From random codes."""
@@ -181,7 +197,8 @@ class RefineNetTraining(GraspTraining):
         scheduler: MakeScheduler,
     ):
         network = RefineNet(hand, iterations, width, n_hidden, dropout)
-        super().__init__(network, loss(hand=hand, contact=contact), hand, optimizer, scheduler)
+        trained = {"CoarseNet": source.file} if isinstance(source, CoarseNetGuesses) else {}
+        super().__init__(network, loss(hand=hand, contact=contact), hand, optimizer, scheduler, trained)
         self.source = source
 
     def grasp(self, batch: GraspBatch) -> Tensor:
@@ -199,7 +216,7 @@ class GrabNetTraining(GraspTraining):
 
     Args:
         hand: the hand model. contact: (V,) share of training frames in which each vertex touches.
-        coarsenet, refinenet: run folders or weights files to start from; the newest runs when omitted.
+        coarsenet, refinenet: run folders or weights files to start from; the newest of `find_network` when omitted.
         coarse_loss, refine_loss: make the losses of the guess and of the refined grasp, given hand and contact.
         optimizer, scheduler: as in `GraspTraining`.
     """
@@ -215,15 +232,20 @@ class GrabNetTraining(GraspTraining):
         optimizer: MakeOptimizer,
         scheduler: MakeScheduler,
     ):
+        trained = {
+            "CoarseNet": find_network("CoarseNet", coarsenet),
+            "RefineNet": find_network("RefineNet", refinenet),
+        }
         networks = {
-            "coarsenet": load_coarsenet(find_network("CoarseNet", coarsenet)),
-            "refinenet": load_refinenet(find_network("RefineNet", refinenet), hand),
+            "coarsenet": load_coarsenet(trained["CoarseNet"]),
+            "refinenet": load_refinenet(trained["RefineNet"], hand),
         }
         losses = {
             "coarsenet": coarse_loss(hand=hand, contact=contact),
             "refinenet": refine_loss(hand=hand, contact=contact),
         }
-        super().__init__(nn.ModuleDict(networks).train(), nn.ModuleDict(losses), hand, optimizer, scheduler)
+        network, loss = nn.ModuleDict(networks).train(), nn.ModuleDict(losses)
+        super().__init__(network, loss, hand, optimizer, scheduler, trained)
 
     @property
     def networks(self) -> dict[str, nn.Module]:

@@ -24,7 +24,8 @@ Row = dict[str, str | float | None]
 
 def report(runs: Sequence[Run], objective: str, folder: Path) -> None:
     """Print the table and write both files into the sweep's folder."""
-    rows = [row(run, objective) for run in runs]
+    keys = _keys(runs)
+    rows = [dict.fromkeys(keys) | row(run, objective) for run in runs]
     Console().print(_table(rows, runs))
     with replacing(folder / "sweep.csv") as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, rows[0])
@@ -33,6 +34,11 @@ def report(runs: Sequence[Run], objective: str, folder: Path) -> None:
     figure = plot(runs, objective)
     with replacing(folder / "sweep.png") as temporary:
         figure.savefig(temporary)
+
+
+def _keys(runs: Sequence[Run]) -> list[str]:
+    """Of the values that any run has: a search that was begun again may have widened or narrowed its space."""
+    return list(dict.fromkeys(key for run in runs for key in run.values))
 
 
 def row(run: Run, objective: str) -> Row:
@@ -70,7 +76,7 @@ def _cell(value: str | float | None) -> str:
 
 def plot(runs: Sequence[Run], objective: str) -> Figure:
     """The objective by epoch, and at its best against each swept value."""
-    keys = [key for key in runs[0].values if len({run.values[key] for run in runs}) > 1]
+    keys = [key for key in _keys(runs) if len({run.values.get(key) for run in runs}) > 1]
     columns = min(3, 1 + len(keys))
     lines = -(-(1 + len(keys)) // columns)
     figure = Figure(figsize=(5 * columns, 3.6 * lines), dpi=120, layout="constrained")
@@ -78,7 +84,7 @@ def plot(runs: Sequence[Run], objective: str) -> Figure:
     panels = figure.subplots(lines, columns, squeeze=False).flat
     _curves(next(panels), runs, objective)
     for key in keys:
-        _scatter(next(panels), runs, key, objective)
+        _scatter(next(panels), [run for run in runs if key in run.values], key, objective)
     for panel in panels:
         panel.set_axis_off()
     return figure

@@ -5,12 +5,17 @@ import time
 from pathlib import Path
 
 import pytest
+import torch
 from omegaconf import OmegaConf
 
 from grabnet.benchmarks.physics import CONFIG
 from grabnet.benchmarks.run import SUITES, Benchmark
 from grabnet.benchmarks.timing import Case, measure
+from grabnet.benchmarks.train import Step
+from grabnet.cli import CONFIGS
 from grabnet.errors import UserError
+from grabnet.geometry.sdf_grid import AtlasConfig
+from tests.tiny import tiny_overrides
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "benchmark.py"
 SETTINGS = {
@@ -52,21 +57,49 @@ def test_the_first_run_does_not_count():
     assert timing.upper < 0.1
 
 
-@pytest.mark.parametrize("suite", ["hand", "bps", "contact", "volume", "physics"])
-def test_suites_write_their_figures(tmp_path, monkeypatch, suite):
-    monkeypatch.setenv("GRABNET_CACHE", str(tmp_path))
-    monkeypatch.setattr("grabnet.benchmarks.volume.SPACING", 0.004)  # the plain way takes seconds
+# Less of what takes seconds.
+GRID = AtlasConfig(fine_nodes=16**3, coarse_nodes=10**3)
+SMALLER = {"volume.SPACING": 0.004, "sample.N_GRASPS": 4, "sdf.SMALL": GRID, "sdf.FULL": GRID}
+
+
+@pytest.mark.parametrize("suite", sorted(SUITES.keys() - {"preprocess"}))  # whose workers take seconds to start
+def test_suites_write_their_figures(tmp_path, monkeypatch, cache_dir, tiny_dataset, suite):
+    monkeypatch.setenv("GRABNET_CACHE", str(cache_dir))
+    for name, value in SMALLER.items():
+        monkeypatch.setattr(f"grabnet.benchmarks.{name}", value)
+    tiny = [o for o in tiny_overrides(tiny_dataset, tmp_path, cache_dir) if o.startswith("data") and "batch" not in o]
     physics = OmegaConf.load(CONFIG)
     physics.shake.steps, physics.decomposition.resolution, physics.decomposition.iterations = 20, 100, 3
     OmegaConf.save(physics, tmp_path / "physics.yaml")
     monkeypatch.setattr("grabnet.benchmarks.physics.CONFIG", tmp_path / "physics.yaml")
-    Benchmark(**(SETTINGS | {"suite": suite, "output": str(tmp_path / "bench.json")})).run()
+    Benchmark(**(SETTINGS | {"suite": suite, "train": tiny, "output": str(tmp_path / "bench.json")})).run()
     report = json.loads((tmp_path / "bench.json").read_text())
     assert {"timings", "settings", "threads", "versions", "made"} <= report.keys()
     for timing in report["timings"]:
         assert timing["median"] > 0
         assert all(ratio > 0 for ratio in timing["ratios"].values())
     assert any(timing["ratios"] for timing in report["timings"])
+
+
+@pytest.mark.parametrize("model", ["coarsenet", "refinenet"])
+def test_the_plain_losses_are_those_of_training(model, tiny_dataset, cache_dir, tmp_path):
+    """With all samples of the objects, compared by the nearest one, and the networks' noise the same."""
+    published = ["data.object_points=512", "data.near_points=512", "data.measure=samples", "model.loss.kl=0.3"]
+    overrides = [o for o in tiny_overrides(tiny_dataset, tmp_path, cache_dir, model) if "near_points" not in o]
+    step = Step.make(Benchmark(**SETTINGS), [*overrides, *published])
+    torch.manual_seed(0)
+    _, terms = step.module.reconstruct(step.batch)
+    torch.manual_seed(0)
+    plain = step.plain_terms()
+    assert plain.keys() == terms.keys()
+    for name, term in terms.items():  # what the true hand measures is kept in half precision
+        assert plain[name].item() == pytest.approx(term.item(), rel=1e-3), name
+
+
+@pytest.mark.parametrize(("suite", "batch"), [("train", 256), ("hand", 32)])
+def test_the_batch_is_the_suites_unless_told(suite, batch):
+    standard = OmegaConf.load(CONFIGS / "benchmark.yaml").batch
+    assert Benchmark(**(SETTINGS | {"suite": suite, "batch": standard})).batch == batch
 
 
 @pytest.mark.parametrize(

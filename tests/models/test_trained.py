@@ -35,6 +35,16 @@ def test_a_named_run_is_taken(runs):
     assert find_network("RefineNet", file, runs) == file
 
 
+def test_training_starts_from_none_that_went_on_from_its_kind(runs, grabber):
+    went_on, guessed_from = runs / "both/coarsenet/model.safetensors", runs / "both/refinenet/model.safetensors"
+    for path, network in ((went_on, grabber.coarsenet), (guessed_from, grabber.refinenet)):
+        save_network(path, network, {"trained_from": {"CoarseNet": {}}})
+    assert find_network("CoarseNet", None, runs) == runs / "coarse" / "new" / "model.safetensors"
+    assert find_network("RefineNet", None, runs) == guessed_from
+    assert find_network("CoarseNet", went_on, runs) == went_on
+    assert find_pair(runs=runs) == (went_on, guessed_from)
+
+
 def test_a_missing_network_is_told_with_what_exists(runs, tmp_path):
     (runs / "fine" / "model.safetensors").unlink()
     with pytest.raises(UserError) as told:

@@ -10,10 +10,17 @@ from collections.abc import Callable
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
+import optuna
+import pytest
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
+from optuna.trial import TrialState
 from PIL import Image
 
-from grabnet.history import read_history
-from grabnet.sweeps.runs import folder_name
+from grabnet.files import write_json
+from grabnet.history import HISTORY, read_history
+from grabnet.sweeps.runs import Run, folder_name
+from hydra_plugins.grabnet_search import STUDY
 from tests.processes import finish, start
 from tests.tiny import tiny_overrides
 
@@ -73,22 +80,56 @@ def test_a_sweep_outlives_a_failure_and_a_kill(tiny_dataset, tmp_path, cache_dir
 def test_a_search_goes_on_where_it_was_killed(tiny_dataset, tmp_path, cache_dir):
     sweep, output = tmp_path / "search", tmp_path / "output.txt"
     tiny = tiny_overrides(tiny_dataset, None, cache_dir)
-    more = ["callbacks.pruning.min_epochs=1", "callbacks.pruning.min_siblings=2", "test=false"]
+    more = ["callbacks.pruning.min_epochs=1", "callbacks.pruning.min_siblings=5", "test=false"]
     space = ["model.width=choice(16,32)", "data.batch_size=choice(32,64)", "hydra.sweeper.n_trials=5"]
     arguments = ["-m", "hparams_search=coarsenet", f"sweep_dir={sweep}", *tiny, *more, *space, "trainer.max_epochs=2"]
+    better = [sweep / f"better_{k}" / HISTORY for k in range(5)]  # than any run, so that the first one is pruned
+    for path in better:
+        write_json(path, [{"epoch": 0, "val/v2v": 0.0}])
+    damaged = sweep / "trial_001/checkpoints/last.ckpt"  # which the second fails by
+    damaged.parent.mkdir(parents=True)
+    damaged.write_bytes(b"")
     process = start(arguments, output)
-    wait_for(lambda: (sweep / "trial_001/.hydra").exists(), process, output)
+    wait_for(lambda: (sweep / "trial_002/.hydra").exists(), process, output)
     process.kill()
     process.join()
+    assert [run.status for run in (Run(sweep / f"trial_{i:03d}", (), {}) for i in range(3))] == [
+        "pruned",
+        "failed",
+        "unfinished",
+    ]
+    for path in (*better, damaged):
+        path.unlink()
     assert finish(arguments, output) == 0, output.read_text()
     runs = table(sweep)
     assert [run["folder"] for run in runs] == [f"trial_{i:03d}" for i in range(5)]
-    assert {run["status"] for run in runs} <= {"done", "pruned"}
+    assert [run["status"] for run in runs] == ["pruned", "done", "done", "done", "done"]
+    storage = JournalStorage(JournalFileBackend(str(sweep / STUDY)))
+    states = [trial.state for trial in optuna.load_study(study_name="search", storage=storage).trials]
+    assert states == [TrialState.PRUNED, *[TrialState.COMPLETE] * 4]
     assert all(1e-4 <= float(run["model.optimizer.lr"]) <= 3e-3 for run in runs)
     assert {run["model.width"] for run in runs} <= {"16", "32"}
     assert len({run["model.optimizer.lr"] for run in runs}) == 5
-    assert finish([*arguments, "seed=1"], output) == 2
-    assert "give the same, or another sweep_dir" in output.read_text().splitlines()[-1]
+    assert runs[0].keys().isdisjoint({"model.loss.kl", "model.latent_dim"})  # of which v2v likes an extreme
+    for other in ("seed=1", "model.width=choice(16,64)"):
+        assert finish([*arguments, other], output) == 2
+        assert "give the same, or another sweep_dir" in output.read_text().splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("sweeper", "value", "sentence"),
+    [
+        ("search", "n_trials=0", "hydra.sweeper.n_trials=0 is too small; it must be at least 1."),
+        ("search", "n_jobs=0", "hydra.sweeper.n_jobs=0 is too small; it must be at least 1."),
+        ("search", "n_trials=abc", "hydra.sweeper.n_trials='abc' is of the wrong type: int is wanted."),
+        ("grid", "params={seed:'range(1,1)'}", "There is nothing to run: a swept key has no values."),
+    ],
+)
+def test_a_sweeper_that_could_not_run_is_told(sweeper, value, sentence, tmp_path):
+    output = tmp_path / "output.txt"
+    arguments = ["-m", f"hydra/sweeper={sweeper}", f"hydra.sweeper.{value}", f"sweep_dir={tmp_path}"]
+    assert finish(arguments, output) == 2, output.read_text()
+    assert output.read_text().startswith(f"error: {sentence}")
 
 
 def test_an_interrupted_cluster_job_is_requeued_and_goes_on(tiny_dataset, tmp_path, cache_dir):
