@@ -32,13 +32,11 @@ class SearchSweeper(RunSweeper):
         super().__init__(params)
         self.n_trials, self.n_jobs, self.n_startup, self.seed = n_trials, n_jobs, n_startup, seed
 
-    def check(self) -> None:
-        super().check()
-        for name, least in {"n_trials": 1, "n_jobs": 1, "n_startup": 0, "seed": 0}.items():
-            if (value := getattr(self, name)) < least:
-                raise UserError(f"hydra.sweeper.{name}={value} is too small; it must be at least {least}.")
-
     def run_all(self, overrides: list[Override]) -> list[Run]:
+        for name, least in {"n_trials": 1, "n_jobs": 1, "n_startup": 0, "seed": 0}.items():
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < least:
+                raise UserError(f"hydra.sweeper.{name}={value} is not to be had; give a whole number from {least} up.")
         space = {o.get_key_element(): _distribution(o) for o in overrides if o.is_sweep_override()}
         if not space:
             raise UserError("There is nothing to search: name values, as in model.optimizer.lr='interval(1e-4,1e-3)'.")

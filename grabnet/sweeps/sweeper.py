@@ -15,10 +15,9 @@ from hydra.core.plugins import Plugins
 from hydra.errors import HydraException
 from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from grabnet.cli import fail
-from grabnet.config import check
 from grabnet.errors import UserError
 from grabnet.sweeps.runs import FAILED, UNFINISHED, Run
 
@@ -53,7 +52,6 @@ class RunSweeper(Sweeper):
 
         lines = [*(f"{key}={value}" for key, value in self.params.items()), *arguments]
         try:
-            self.check()
             parser = OverridesParser.create(config_loader=self.hydra_context.config_loader)
             last_word = {o.get_key_element(): o for o in parser.parse_overrides(lines)}
             runs = self.run_all(list(last_word.values()))
@@ -66,10 +64,6 @@ class RunSweeper(Sweeper):
         report(runs, self.config.objective, self.folder)
         if any(run.status in (FAILED, UNFINISHED) for run in runs):
             sys.exit(1)
-
-    def check(self) -> None:
-        """Raise a `UserError` for a value of `configs/hydra/sweeper` that is not to be had."""
-        check(OmegaConf.create({"hydra": {"sweeper": self.config.hydra.sweeper}}))
 
     @abstractmethod
     def run_all(self, overrides: list[Override]) -> list[Run]:

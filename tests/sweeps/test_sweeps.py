@@ -119,9 +119,9 @@ def test_a_search_goes_on_where_it_was_killed(tiny_dataset, tmp_path, cache_dir)
 @pytest.mark.parametrize(
     ("sweeper", "value", "sentence"),
     [
-        ("search", "n_trials=0", "hydra.sweeper.n_trials=0 is too small; it must be at least 1."),
-        ("search", "n_jobs=0", "hydra.sweeper.n_jobs=0 is too small; it must be at least 1."),
-        ("search", "n_trials=abc", "hydra.sweeper.n_trials='abc' is of the wrong type: int is wanted."),
+        ("search", "n_trials=0", "hydra.sweeper.n_trials=0 is not to be had; give a whole number from 1 up."),
+        ("search", "n_jobs=0", "hydra.sweeper.n_jobs=0 is not to be had; give a whole number from 1 up."),
+        ("search", "n_trials=abc", "hydra.sweeper.n_trials=abc is not to be had; give a whole number from 1 up."),
         ("grid", "params={seed:'range(1,1)'}", "There is nothing to run: a swept key has no values."),
     ],
 )
