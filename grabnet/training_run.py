@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
 import warnings
@@ -36,6 +37,7 @@ from grabnet.sweeps.runs import METRICS, Pruned
 
 log = logging.getLogger(__name__)
 
+PROVENANCE = "provenance.json"
 # What a run is begun with and cannot change when it goes on. How long it takes and what it tells can.
 _FIXED = ("hand_model", "data", "model", "seed", "objective")
 
@@ -94,10 +96,16 @@ def _fit(
         compile_blocks(module.network)
     checkpoints = run_dir / "checkpoints"
     if trainer.is_global_zero:
-        record = provenance(seed=cfg.seed, data=data.record(), hand_sha256=sha256(data.hand.v_template.numpy()))
-        record["trained_from"] = module.trained_from
-        write_json(run_dir / "provenance.json", record)
         resumed = newest_whole(checkpoints) if cfg.resume else None
+        record = provenance(
+            seed=cfg.seed,
+            data=data.record(),
+            hand_sha256=sha256(data.hand.v_template.numpy()),
+            trained_from=module.trained_from,
+        )
+        if resumed:
+            record |= _earlier(run_dir / PROVENANCE)
+        write_json(run_dir / PROVENANCE, record)
     resumed = trainer.strategy.broadcast(resumed if trainer.is_global_zero else None)
     if resumed:
         log.info("Going on from %s.", resumed)
@@ -126,6 +134,13 @@ def _refuse_other_settings(path: Path, cfg: DictConfig) -> None:
     begun, now = (OmegaConf.to_container(config, resolve=True) for config in (OmegaConf.load(path), cfg))
     if changed := difference({key: begun.get(key) for key in _FIXED}, {key: now[key] for key in _FIXED}):
         raise UserError(f"{path.parent} was {changed}: choose another run_dir, or begin it anew with resume=false.")
+
+
+def _earlier(path: Path) -> dict[str, Any]:
+    """Of a run that goes on: the networks that it started from, and what it ran with before, attempt by attempt."""
+    before = json.loads(path.read_text())
+    attempt = {key: before[key] for key in ("made", "versions", "machine", "commit")}
+    return {"trained_from": before["trained_from"], "earlier": [*before.get("earlier", []), attempt]}
 
 
 def _trainer(cfg: DictConfig, history: History) -> L.Trainer:

@@ -139,6 +139,8 @@ def test_a_run_goes_on_with_the_settings_it_began_with(tiny_dataset, tmp_path, c
         run("seed=1", "data.seed=0")
     run("trainer.max_epochs=2", "logger.csv.name=more")
     assert [epoch["epoch"] for epoch in read_history(tmp_path)] == [0, 1]
+    (attempt,) = read_provenance(tmp_path)["earlier"]
+    assert attempt["made"] <= read_provenance(tmp_path)["made"] and attempt["versions"]["torch"] == torch.__version__
     run("trainer.max_epochs=1", "model.width=16", "resume=false")
     assert load_coarsenet(tmp_path).pose.in_features == 16
 
