@@ -120,7 +120,10 @@ def _choices(override: Override) -> list[str]:
         return [override.input_line]
     sweep = override.value()
     values = [sweep.start, sweep.end] if override.is_interval_sweep() else override.sweep_string_iterator()
-    return [f"{override.get_key_element()}={value}" for value in values]
+    choices = [f"{override.get_key_element()}={value}" for value in values]
+    if not choices:
+        raise UserError(f"{override.input_line} holds no value to try.")
+    return choices
 
 
 def compose(config_name: str, overrides: Sequence[str]) -> DictConfig:

@@ -39,9 +39,9 @@ def test_the_mistake_is_named(argument, sentence):
     assert sentence in str(caught.value) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("argument", ["model=corsenet", "seed"])
+@pytest.mark.parametrize("argument", ["model=corsenet", "seed", "seed=range(1,1)"])
 def test_the_command_says_it_in_a_line_and_leaves(argument):
-    result = subprocess.run([sys.executable, "train.py", argument], cwd=ROOT, capture_output=True, text=True)
+    result = subprocess.run([sys.executable, "train.py", "-m", argument], cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 2
     assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
 
