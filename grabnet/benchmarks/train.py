@@ -35,8 +35,7 @@ def cases(settings: Benchmark) -> list[Case]:
             Case(f"{model}, full step", step.full, (bare, plain)),
         ]
         if model == "coarsenet":
-            every = [f"data.near_points={N_PUBLISHED}", "data.far_points=0"]
-            published = Step.make(settings, [*overrides, *settings.train, *every])
+            published = Step.make(settings, [*overrides, *settings.train, f"data.near_points={N_PUBLISHED}"])
             found.append(Case(f"{model}, full step, {N_PUBLISHED} object points", published.full, (bare, plain)))
     return found
 
@@ -122,8 +121,7 @@ class Step:
         }
         if isinstance(module, CoarseNetTraining):
             reached, true = (_signed_distance(points, v, module.hand.faces) for v in (vertices, batch.vertices))
-            alike = torch.full_like(true[0], 1 / true.shape[1])
-            error["object_to_hand"] = object_to_hand_l1(reached, true, alike, loss.point_weights)
+            error["object_to_hand"] = object_to_hand_l1(reached, true, loss.point_weights)
         terms = {name: (1 - loss.kl) * getattr(loss, name) * value for name, value in error.items()}
         if isinstance(module, CoarseNetTraining):
             divergence = torch.distributions.kl_divergence(posterior, _standard(posterior.mean))

@@ -27,8 +27,7 @@ class GraspBatch:
         objects: (B,) into `object_set`. rotations: (B, 3, 3) object frame to world.
         hand: true parameters. rest: (B, V, 3) rest vertices of each frame's subject. vertices: (B, V, 3) posed.
         distances: (B, V) signed distance of each hand vertex to the object.
-        points: (B, P, 3) samples of the object's surface. point_distances: (B, P) their signed distances to the hand.
-            point_shares: (P,) of all samples, that each stands for.
+        points: (B, P, 3) points on the object near the hand; point_distances: (B, P) their signed distances to it.
         object_set: geometry of the objects.
         noisy: hands near the true ones, where the store holds such.
     """
@@ -41,7 +40,6 @@ class GraspBatch:
     distances: Tensor
     points: Tensor
     point_distances: Tensor
-    point_shares: Tensor
     object_set: ObjectSet
     noisy: HandParameters | None = None
 
@@ -97,8 +95,8 @@ class BatchAssembler(nn.Module):
             rotations = about @ rotations
             hand = self.hand.moved(hand, about, rest=rest)
             noisy = None if noisy is None else self.hand.moved(noisy, about, rest=rest)
-        samples, chosen = self.object_set.points, targets.chosen
-        points = samples[frames.object] if chosen is None else samples[frames.object.unsqueeze(1), chosen.long()]
+        samples, near = self.object_set.points, targets.near
+        points = samples[frames.object] if near is None else samples[frames.object.unsqueeze(1), near.long()]
         return GraspBatch(
             objects=frames.object,
             rotations=rotations,
@@ -107,8 +105,7 @@ class BatchAssembler(nn.Module):
             vertices=self.hand(hand, rest).vertices,
             distances=targets.distances.to(rest.dtype),
             points=points @ rotations.mT,
-            point_distances=targets.chosen_distances.to(rest.dtype),
-            point_shares=targets.shares,
+            point_distances=targets.near_distances.to(rest.dtype),
             object_set=self.object_set,
             noisy=noisy,
         )

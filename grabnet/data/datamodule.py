@@ -38,8 +38,7 @@ class GraspDataModule(L.LightningDataModule):
         batch_size: frames per step, of all processes together.
         min_steps: of an epoch: few frames are gone through as often as that takes.
         object_points: surface samples per object.
-        near_points, far_points: of these, how many nearest to the hand enter the object→hand loss, and how many stand
-            for the others (published: all). Without far ones the others count as right.
+        near_points: of these, how many nearest to the hand enter the object→hand loss (published: all).
         measure: hand→object distances are signed, to the "surface"; or unsigned, to the nearest of the "samples".
         contact_distance: metres within which a hand vertex counts as touching (spec 4).
         turn: rotate training frames about the vertical at random.
@@ -62,8 +61,7 @@ class GraspDataModule(L.LightningDataModule):
         batch_size: int = 256,
         min_steps: int = 1,
         object_points: int = 2048,
-        near_points: int = 64,
-        far_points: int = 64,
+        near_points: int = 128,
         measure: str = "surface",
         contact_distance: float = 0.0045,
         turn: bool = True,
@@ -78,23 +76,19 @@ class GraspDataModule(L.LightningDataModule):
             ("min_steps", min_steps, 1),
             ("object_points", object_points, 1),
             ("near_points", near_points, 1),
-            ("far_points", far_points, 0),
             ("max_frames", max_frames, 2),
         ):
             if value is not None and value < least:
                 raise UserError(f"data.{name}={value} is too small: {least} is the least.")
         if object_points > MAX_POINTS:
             raise UserError(f"data.object_points={object_points} is too large: {MAX_POINTS} is the most.")
-        if near_points + far_points > object_points:
-            raise UserError(
-                f"data.near_points={near_points} and data.far_points={far_points} are more than "
-                f"data.object_points={object_points}."
-            )
+        if near_points > object_points:
+            raise UserError(f"data.near_points={near_points} exceeds data.object_points={object_points}.")
         self.hand, self.store_dir = hand, Path(root) / "frames"
         self.objects_dir = Path(objects_dir) if objects_dir else Path(root) / OBJECT_MESHES
         self.val_objects, self.test_objects = set(val_objects), set(test_objects)
         self.batch_size, self.min_steps = batch_size, min_steps
-        self.object_points, self.near_points, self.far_points = object_points, near_points, far_points
+        self.object_points, self.near_points = object_points, near_points
         self.measure, self.contact_distance, self.turn, self.max_frames = measure, contact_distance, turn, max_frames
         self.cache_dir, self.seed, self.prepare = cache_dir, seed, prepare
         self.assembler: BatchAssembler | None = None
@@ -129,7 +123,7 @@ class GraspDataModule(L.LightningDataModule):
                     remedy = "leave some out of data.val_objects and data.test_objects"
                 raise UserError(f"{self.store_dir} has no {split} frames; of its objects ({here}) {remedy}.")
             self._frames[split] = frames
-            self._targets[split] = compute_targets(frames, self.assembler, self.near_points, self.far_points)
+            self._targets[split] = compute_targets(frames, self.assembler, self.near_points)
 
     @property
     def contact(self) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from rich.progress import track
@@ -15,7 +15,7 @@ from grabnet.geometry.nearest import NearestVertex
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.precision import full_precision
 
-MAX_POINTS = torch.iinfo(torch.int16).max  # samples of an object's surface: `Targets.chosen` numbers them
+MAX_POINTS = torch.iinfo(torch.int16).max  # samples of an object's surface: `Targets.near` numbers them
 
 
 @dataclass(frozen=True)
@@ -24,31 +24,26 @@ class Targets:
 
     Attributes:
         distances: (N, V) float16, signed distances of the true hand's vertices to the object, metres.
-        chosen: (N, P) int16, samples of the object's surface, into `ObjectSet.points`, in the order of their distances
-            to the true hand; None for all of them, as they are numbered.
-        chosen_distances: (N, P) float16, their signed distances to it, metres.
-        shares: (P,) of all samples, that each of these stands for.
+        near: (N, P) int16, samples of the object's surface, into `ObjectSet.points`: those nearest to the true hand;
+            None for all of them, as they are numbered.
+        near_distances: (N, P) float16, their signed distances to it, metres.
     """
 
     distances: Tensor
-    chosen: Tensor | None
-    chosen_distances: Tensor
-    shares: Tensor
+    near: Tensor | None
+    near_distances: Tensor
 
     def to(self, device: torch.device | str) -> Targets:
         """The same targets on `device`."""
-        return replace(self._each(lambda x: x.to(device)), shares=self.shares.to(device))
+        return self._each(lambda x: x.to(device))
 
     def select(self, index: Tensor) -> Targets:
         """Those of the chosen frames."""
         return self._each(lambda x: x[index])
 
     def _each(self, change: Callable[[Tensor], Tensor]) -> Targets:
-        """What is per frame, changed."""
-        chosen = None if self.chosen is None else change(self.chosen)
-        return replace(
-            self, distances=change(self.distances), chosen=chosen, chosen_distances=change(self.chosen_distances)
-        )
+        near = None if self.near is None else change(self.near)
+        return Targets(change(self.distances), near, change(self.near_distances))
 
     def contact(self, distance: float) -> Tensor:
         """(V,) share of frames in which each hand vertex lies within `distance` of the object, or in it."""
@@ -56,40 +51,21 @@ class Targets:
         return torch.stack(counts).sum(0) / len(self.distances)
 
 
-def standing_for_all(n: int, n_near: int, n_far: int) -> tuple[Tensor, Tensor]:
-    """Which of n samples, in the order of their distances to a hand, stand for all in a mean.
-
-    The nearest stand for themselves. The others, cut into equal parts by their distances, are each one's middle.
-
-    Returns:
-        their places in that order (n_near + n_far,), and what share of the n each stands for: 1 together, or less
-        without far ones, whose samples then count nothing.
-    """
-    edges = torch.linspace(n_near, n, n_far + 1).round().long() if n_far else torch.tensor([n_near])
-    places = torch.cat([torch.arange(n_near), (edges[:-1] + edges[1:]) // 2])
-    return places, torch.cat([torch.ones(n_near), edges.diff().float()]) / n
-
-
 @torch.no_grad()
 @full_precision
-def compute_targets(
-    frames: Frames, assembler: BatchAssembler, n_near: int, n_far: int, batch_size: int = 64
-) -> Targets:
+def compute_targets(frames: Frames, assembler: BatchAssembler, n_points: int, batch_size: int = 64) -> Targets:
     """Pose every frame once and measure it.
 
     Args:
         frames: to measure.
-        n_near, n_far: surface samples kept per frame, of those near the hand and of the others: `standing_for_all`.
+        n_points: surface samples kept per frame: those nearest to the hand, or all when it equals their number.
     """
     hand, points = assembler.hand, assembler.object_set.points
     nearest = NearestVertex(hand.faces, len(hand.v_template))
-    n_points = points.shape[1]
-    places, shares = standing_for_all(n_points, n_near, n_far)
     targets = Targets(
         torch.empty(len(frames), len(hand.v_template), dtype=torch.float16),
-        None if n_near == n_points else torch.empty(len(frames), len(places), dtype=torch.int16),
-        torch.empty(len(frames), len(places), dtype=torch.float16),
-        shares,
+        None if n_points == points.shape[1] else torch.empty(len(frames), n_points, dtype=torch.int16),
+        torch.empty(len(frames), n_points, dtype=torch.float16),
     )
     for start in track(range(0, len(frames), batch_size), "Measuring the frames", transient=True):
         part = slice(start, start + batch_size)
@@ -98,11 +74,11 @@ def compute_targets(
         targets.distances[part] = distances.half()
         rotations = axis_angle_to_matrix(batch.object_orient)
         offset = nearest.signed_offset(points[batch.object] @ rotations.mT, vertices)
-        if targets.chosen is not None:
-            chosen = offset.abs().argsort(1)[:, places]
-            targets.chosen[part] = chosen.short()
+        if targets.near is not None:
+            chosen = offset.abs().topk(n_points, largest=False, sorted=False).indices.sort().values
+            targets.near[part] = chosen.short()
             offset = offset.gather(1, chosen)
-        targets.chosen_distances[part] = offset.half()
+        targets.near_distances[part] = offset.half()
     return targets
 
 

@@ -74,7 +74,7 @@ class CoarseNetLoss(ReconstructionLoss):
 
     Args:
         object_to_hand: weight of the signed object→hand distances, their mean taken over all samples of the object as
-            published, or over those that stand for them.
+            published: those that are left out for being far from the hand count as right.
         point_weights: of each point within it.
         kl: κ, weight of the KL divergence.
     """
@@ -99,8 +99,9 @@ class CoarseNetLoss(ReconstructionLoss):
     def forward(self, vertices: Tensor, batch: GraspBatch, posterior: Normal) -> dict[str, Tensor]:
         terms = super().forward(vertices, batch)
         reached = self.nearest.signed_offset(batch.points, vertices)
-        error = object_to_hand_l1(reached, batch.point_distances, batch.point_shares, self.point_weights)
-        terms["object_to_hand"] = self.object_to_hand * error
+        share = batch.points.shape[1] / batch.object_set.points.shape[1]
+        error = object_to_hand_l1(reached, batch.point_distances, self.point_weights)
+        terms["object_to_hand"] = self.object_to_hand * share * error
         terms = {name: (1 - self.kl) * term for name, term in terms.items()}
         return terms | {"kl": self.kl * kl_to_standard_normal(posterior)}
 

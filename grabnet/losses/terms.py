@@ -23,9 +23,9 @@ def hand_to_object_l1(distances: Tensor, true: Tensor, weight: Tensor) -> Tensor
     return ((distances - true).abs().mean(0) * weight).mean()
 
 
-def object_to_hand_l1(distances: Tensor, true: Tensor, shares: Tensor, weights: PointWeights) -> Tensor:
-    """Mean |Δ| of object→hand signed distances (B, P), weighted by where they lie and by each point's share (P,)."""
-    return ((distances - true).abs() * weights(distances.detach(), true)).mean(0) @ shares
+def object_to_hand_l1(distances: Tensor, true: Tensor, weights: PointWeights) -> Tensor:
+    """Mean |Δ| of object→hand signed distances (B, P), weighted by where they lie."""
+    return ((distances - true).abs() * weights(distances.detach(), true)).mean()
 
 
 class PointWeights:
