@@ -47,6 +47,7 @@ def test_faster_ways_learn_nearly_the_same(tiny_dataset, tmp_path, cache_dir):
     found = {}
     for value in ("compile=false", "compile=true", "trainer.precision=bf16-mixed"):
         more = (value, "trainer.max_epochs=1", "test=false", "callbacks.grasps=null")
+        torch._dynamo.reset()
         torch._dynamo.utils.counters.clear()
         # Traced with its gradient, but not written in C++, which takes minutes.
         with torch.compiler.set_stance("default", force_backend="aot_eager"):

@@ -14,6 +14,7 @@ def test_compiled_blocks_give_the_same_under_the_same_names():
     plain = nn.ModuleList([nn.Linear(3, 3), ResidualBlock(3, 4, 2)])
     compiled = copy.deepcopy(plain)
     compile_blocks(compiled)
+    torch._dynamo.reset()  # of what other tests compiled: torch compiles a function for a few kinds of input only
     torch._dynamo.utils.counters.clear()
     x = torch.randn(6, 3)
     with torch.no_grad():  # compiling the gradient as well would take a test of half a minute
