@@ -17,8 +17,9 @@ import numpy as np
 from grabnet.errors import UserError
 
 # What a disk says that takes no more, and a place where no folder can be made.
-DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES}
-DISK_ERRORS |= {errno.EPERM, errno.ENOTDIR, errno.ENOENT}
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_FORBIDDEN = {errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.ENOENT}
+DISK_ERRORS = _FULL | _FORBIDDEN
 
 
 @contextmanager

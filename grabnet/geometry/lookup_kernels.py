@@ -2,7 +2,7 @@
 
 A thread takes one row of points after the other, each row all around one object: what it reads of the table stays in
 the cache, and where the table lies is looked up once. The loop over a row is C++ without branches, since warp's own
-cannot be told that points do not depend on each other: on a CPU eight to sixteen points are looked up at once.
+cannot be told that points do not depend on each other: on a CPU sixteen points are looked up at once.
 """
 
 import warp as wp
@@ -42,7 +42,7 @@ def lattice(atlas: Lattices, level: int) -> Lattice:
     return found
 
 
-# As of scalars, each a register of sixteen points: structures keep clang from it. (The arrays do not overlap.)
+# All in scalars, each then a register of sixteen points: structures keep clang from that. (The arrays do not overlap.)
 _READ_ROW = """
     const auto half = [](unsigned short bits) {
         wp::half value;
