@@ -26,7 +26,7 @@ from grabnet.data.datamodule import GraspDataModule
 from grabnet.errors import UserError
 from grabnet.files import DISK_ERRORS, replacing, sha256, write_json
 from grabnet.history import History, best_epoch
-from grabnet.models.acceleration import compile_blocks, set_matmul_precision
+from grabnet.models.acceleration import compile_blocks, denormals_flushed, set_matmul_precision
 from grabnet.models.checkpoints import BEST, AtomicCheckpointIO, newest_whole, read_checkpoint
 from grabnet.models.training import GraspTraining
 from grabnet.models.weights import FILE_NAME, save_network
@@ -59,7 +59,7 @@ def train(cfg: DictConfig) -> dict[str, float]:
     """
     run_dir = Path(cfg.run_dir)
     try:
-        with _disk_errors_told(run_dir):
+        with _disk_errors_told(run_dir), denormals_flushed():
             return _train(cfg, run_dir)
     except MisconfigurationException as error:  # such as a callback without the logger that it needs
         raise UserError(f"The trainer cannot run as configured: {' '.join(str(error).split())}") from None
@@ -138,9 +138,15 @@ def _refuse_other_settings(path: Path, cfg: DictConfig) -> None:
 
 def _earlier(path: Path) -> dict[str, Any]:
     """Of a run that goes on: the networks that it started from, and what it ran with before, attempt by attempt."""
-    before = json.loads(path.read_text())
-    attempt = {key: before[key] for key in ("made", "versions", "machine", "commit")}
-    return {"trained_from": before["trained_from"], "earlier": [*before.get("earlier", []), attempt]}
+    try:
+        before = json.loads(path.read_text())
+        attempt = {key: before[key] for key in ("made", "versions", "machine", "commit")}
+        return {"trained_from": before["trained_from"], "earlier": [*before.get("earlier", []), attempt]}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UserError(
+            f"{path} is missing, damaged or of an older version ({error!r}): choose another run_dir, or begin the run "
+            "anew with resume=false."
+        ) from None
 
 
 def _trainer(cfg: DictConfig, history: History) -> L.Trainer:

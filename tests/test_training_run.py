@@ -6,7 +6,9 @@ import json
 import random
 import signal
 import time
+from typing import Any, ClassVar
 
+import lightning as L
 import pytest
 import torch
 from hydra.errors import InstantiationException
@@ -62,6 +64,21 @@ def test_faster_ways_learn_nearly_the_same(tiny_dataset, tmp_path, cache_dir):
     assert none == 0 and graphs >= 4  # residual blocks
     assert compiled == pytest.approx(plain, rel=1e-4)
     assert half != plain and half == pytest.approx(plain, rel=0.02)
+
+
+class Denormals(L.Callback):
+    """Notes what a product too small for a normal number is in each step of a training."""
+
+    products: ClassVar[list[float]] = []
+
+    def on_train_batch_start(self, *_: Any) -> None:
+        self.products.append(float(torch.tensor(1e-20) * torch.tensor(1e-19)))
+
+
+def test_weights_that_decay_to_nothing_do_not_slow_a_training_down(tiny_dataset, tmp_path, cache_dir):
+    more = ("trainer.max_epochs=1", "test=false", f"+callbacks.probe._target_={__name__}.Denormals")
+    train(compose("train", tiny_overrides(tiny_dataset, tmp_path, cache_dir, "coarsenet", *more)))
+    assert Denormals.products == [0.0] * 3
 
 
 def test_both_networks_go_on_end_to_end_from_trained_ones(tiny_dataset, tmp_path, cache_dir, hand):
@@ -142,6 +159,9 @@ def test_a_run_goes_on_with_the_settings_it_began_with(tiny_dataset, tmp_path, c
     assert [epoch["epoch"] for epoch in read_history(tmp_path)] == [0, 1]
     (attempt,) = read_provenance(tmp_path)["earlier"]
     assert attempt["made"] <= read_provenance(tmp_path)["made"] and attempt["versions"]["torch"] == torch.__version__
+    (tmp_path / "provenance.json").write_text("{}")
+    with pytest.raises(UserError, match=r"provenance\.json is missing, damaged or of an older version .*resume=false"):
+        run("trainer.max_epochs=3")
     run("trainer.max_epochs=1", "model.width=16", "resume=false")
     assert load_coarsenet(tmp_path).pose.in_features == 16
 

@@ -116,12 +116,15 @@ class GraspDataModule(L.LightningDataModule):
         self.assembler = BatchAssembler(self.hand, self.store.v_template, objects)
         for split in SPLITS:
             frames = self.store.frames.select(self._members(split))
-            if not len(frames):
+            least = 2 if split == "train" else 1  # batch norm takes no less
+            if len(frames) < least:
                 here = ", ".join(objects.names)
                 remedy = f"name some in data.{split}_objects"
                 if split == "train":
                     remedy = "leave some out of data.val_objects and data.test_objects"
-                raise UserError(f"{self.store_dir} has no {split} frames; of its objects ({here}) {remedy}.")
+                raise UserError(
+                    f"{self.store_dir} has {len(frames) or 'no'} {split} frames; of its objects ({here}) {remedy}."
+                )
             self._frames[split] = frames
             self._targets[split] = compute_targets(frames, self.assembler, self.near_points)
 

@@ -119,7 +119,8 @@ class FramesStore:
             raise UserError(
                 f"{root} is a frames store of format {card.get('format')}, and {FORMAT} is read here: make it anew."
             )
-        subjects, objects, sequences = card["subjects"], card["objects"], card["sequences"]
+        with _damage_told(root / "store.json"):
+            subjects, objects, sequences = card["subjects"], card["objects"], card["sequences"]
         if not sequences:
             raise UserError(f"The frames store {root} is empty: delete it and make it anew.")
         with _damage_told(subjects_file := root / "subjects.safetensors"):

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from grabnet.body.hand import HandParameters
 from grabnet.data.datamodule import GraspDataModule, IndexBatches
+from grabnet.data.frames import finish_store, write_shard
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
@@ -198,6 +199,18 @@ def test_missing_meshes_are_named(tiny_dataset, hand, tmp_path, cache_dir):
 def test_an_empty_split_is_an_error(tiny_dataset, hand, cache_dir):
     data = GraspDataModule(hand, str(tiny_dataset), [], ["mug"], cache_dir=str(cache_dir))
     with pytest.raises(UserError, match=r"no val frames.*name some in data\.val_objects"):
+        data.setup()
+
+
+def test_one_training_frame_is_too_few(tiny_dataset, hand, cache_dir, tmp_path):
+    subjects = {"s1": hand.v_template}
+    widths = {"global_orient": 3, "hand_pose": 45, "transl": 3, "object_orient": 3}
+    values = {name: torch.zeros(1, width) for name, width in widths.items()} | {"frame": torch.zeros(1).long()}
+    write_shard(tmp_path / "frames", "s1/ball_lift", "s1", "ball", values)
+    finish_store(tmp_path / "frames", subjects, ["ball"], {})
+    meshes = str(tiny_dataset / OBJECT_MESHES)
+    data = GraspDataModule(hand, str(tmp_path), [], [], objects_dir=meshes, cache_dir=str(cache_dir))
+    with pytest.raises(UserError, match=r"has 1 train frames.*leave some out of data\.val_objects"):
         data.setup()
 
 

@@ -1,10 +1,13 @@
 """The frames store: what is written comes back, and damage is told in a sentence."""
 
+import json
+
 import pytest
 import torch
 
 from grabnet.data.frames import FramesStore, finish_store, write_shard
 from grabnet.errors import UserError
+from grabnet.files import write_json
 from grabnet.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 
@@ -80,6 +83,14 @@ def test_a_truncated_file_is_named(store, name):
     file = store / name
     file.write_bytes(file.read_bytes()[:-50])
     with pytest.raises(UserError, match=f"{name} is damaged"):
+        FramesStore.load(store)
+
+
+def test_a_card_without_names_is_damaged(store):
+    card = json.loads((store / "store.json").read_text())
+    del card["subjects"]
+    write_json(store / "store.json", card)
+    with pytest.raises(UserError, match=r"store\.json is damaged or missing \('subjects'\)"):
         FramesStore.load(store)
 
 
