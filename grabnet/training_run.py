@@ -55,7 +55,7 @@ def train(cfg: DictConfig) -> dict[str, float]:
 
     Raises:
         UserError: the training diverged or had no time, the disk takes no more, a begun run is to go on with other
-            settings or has no checkpoint that can be read, or the trainer cannot be had or run as configured.
+            settings or has no checkpoint or record that can be read, or the trainer cannot be had or run as configured.
     """
     run_dir = Path(cfg.run_dir)
     try:

@@ -122,9 +122,8 @@ class GraspDataModule(L.LightningDataModule):
                 remedy = f"name some in data.{split}_objects"
                 if split == "train":
                     remedy = "leave some out of data.val_objects and data.test_objects"
-                raise UserError(
-                    f"{self.store_dir} has {len(frames) or 'no'} {split} frames; of its objects ({here}) {remedy}."
-                )
+                has = f"{self.store_dir} has {len(frames) or 'no'} {split} frames, where {least} must be"
+                raise UserError(f"{has}; of its objects ({here}) {remedy}.")
             self._frames[split] = frames
             self._targets[split] = compute_targets(frames, self.assembler, self.near_points)
 

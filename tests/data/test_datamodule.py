@@ -15,6 +15,7 @@ from grabnet.data.objects import OBJECT_MESHES
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.queries import MeshQuery
+from tests.data.test_frames import shard_values
 
 SPLIT = {"val_objects": ["can"], "test_objects": ["ring"]}
 
@@ -203,11 +204,8 @@ def test_an_empty_split_is_an_error(tiny_dataset, hand, cache_dir):
 
 
 def test_one_training_frame_is_too_few(tiny_dataset, hand, cache_dir, tmp_path):
-    subjects = {"s1": hand.v_template}
-    widths = {"global_orient": 3, "hand_pose": 45, "transl": 3, "object_orient": 3}
-    values = {name: torch.zeros(1, width) for name, width in widths.items()} | {"frame": torch.zeros(1).long()}
-    write_shard(tmp_path / "frames", "s1/ball_lift", "s1", "ball", values)
-    finish_store(tmp_path / "frames", subjects, ["ball"], {})
+    write_shard(tmp_path / "frames", "s1/ball_lift", "s1", "ball", shard_values(1, 0))
+    finish_store(tmp_path / "frames", {"s1": hand.v_template}, ["ball"], {})
     meshes = str(tiny_dataset / OBJECT_MESHES)
     data = GraspDataModule(hand, str(tmp_path), [], [], objects_dir=meshes, cache_dir=str(cache_dir))
     with pytest.raises(UserError, match=r"has 1 train frames.*leave some out of data\.val_objects"):
