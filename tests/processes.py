@@ -5,11 +5,9 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import resource
 import runpy
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
@@ -21,43 +19,34 @@ FORKS.set_forkserver_preload(
 
 
 def start(
-    arguments: list[str], output: Path, max_file_bytes: int | None = None, script: str = "train.py"
+    arguments: list[str], output: Path, fault: Callable[[], None] | None = None, script: str = "train.py"
 ) -> ForkServerProcess:
     """Begin `python <script> <arguments>`, all that it prints going to the end of a file.
 
     Args:
-        max_file_bytes: at which writing to any file fails, as on a full disk.
+        fault: called in the process before the script: one of `tests.faults`.
     """
-    process = FORKS.Process(target=_command, args=(arguments, output, max_file_bytes, script))
+    process = FORKS.Process(target=_command, args=(arguments, output, fault, script))
     process.start()
     return process
 
 
-def finish(arguments: list[str], output: Path, max_file_bytes: int | None = None, script: str = "train.py") -> int:
-    """The exit code of `python <script> <arguments>`."""
-    process = start(arguments, output, max_file_bytes, script)
+def finish(
+    arguments: list[str], output: Path, fault: Callable[[], None] | None = None, script: str = "train.py"
+) -> int:
+    """The exit code of `python <script> <arguments>`, -9 where SIGKILL ended it."""
+    process = start(arguments, output, fault, script)
     process.join()
     assert process.exitcode is not None
     return process.exitcode
 
 
-@contextmanager
-def files_of_at_most(n_bytes: int) -> Iterator[None]:
-    """Writing more to any file fails in this process, as on a full disk."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, limits[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-
-
-def _command(arguments: list[str], output: Path, max_file_bytes: int | None, script: str) -> None:
+def _command(arguments: list[str], output: Path, fault: Callable[[], None] | None, script: str) -> None:
     os.chdir(ROOT)
     with output.open("a") as file:
         os.dup2(file.fileno(), sys.stdout.fileno())
         os.dup2(file.fileno(), sys.stderr.fileno())
-    if max_file_bytes is not None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (max_file_bytes, max_file_bytes))
+    if fault is not None:
+        fault()
     sys.argv = [script, *arguments]
     runpy.run_path(script, run_name="__main__")

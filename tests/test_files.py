@@ -15,7 +15,7 @@ from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.weights import save_network
 from grabnet.open.grasps.store import load_open_grasps, save_open_grasps
 from grabnet.physics import decomposition
-from tests.processes import files_of_at_most
+from tests.faults import files_of_at_most
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import random
 import signal
-import time
 from typing import Any, ClassVar
 
 import lightning as L
@@ -21,7 +20,8 @@ from grabnet.models.checkpoints import newest_whole, read_checkpoint
 from grabnet.models.trained import find_network
 from grabnet.models.weights import load_coarsenet, load_refinenet, read_provenance, save_network
 from grabnet.training_run import train
-from tests.processes import finish, start
+from tests.faults import DiesAtStep, DiesPublishing, DiskIsFullAt
+from tests.processes import finish
 from tests.tiny import tiny_overrides
 
 
@@ -112,16 +112,10 @@ def test_a_run_killed_again_and_again_ends_as_if_nothing_had_happened(tiny_datas
     arguments = [tiny_overrides(tiny_dataset, run_dir, cache_dir, "coarsenet", *more) for run_dir in (unbroken, broken)]
     output = tmp_path / "output.txt"
     assert finish(arguments[0], output) == 0, output.read_text()
-    last, reached = broken / "checkpoints/last.ckpt", []
-    for _ in range(3):
-        before = last.stat().st_mtime_ns if last.exists() else None
-        process = start(arguments[1], output)
-        while process.is_alive() and (not last.exists() or last.stat().st_mtime_ns == before):
-            time.sleep(0.01)
-        time.sleep(random.uniform(0, 0.4))
-        process.kill()
-        process.join()
-        assert process.exitcode == -signal.SIGKILL, output.read_text()
+    reached = []
+    faults = [DiesAtStep(random.randint(4, 11)), DiesPublishing("*/last.ckpt", random.randint(2, 4))]
+    for fault in (*faults, DiesAtStep(random.randint(4, 11))):
+        assert finish(arguments[1], output, fault) == -signal.SIGKILL, output.read_text()
         reached.append(read_checkpoint(newest_whole(broken / "checkpoints"))["global_step"])
     assert 0 < reached[0] < reached[1] < reached[2] < 14 * 3
     assert finish(arguments[1], output) == 0, output.read_text()
@@ -205,7 +199,7 @@ def test_a_full_disk_ends_in_a_sentence_and_the_last_checkpoint_stays(tiny_datas
     train(compose("train", overrides(1)))
     last = run_dir / "checkpoints/last.ckpt"
     whole = last.read_bytes()
-    assert finish(overrides(3), output, max_file_bytes=len(whole) // 2) == 2
+    assert finish(overrides(3), output, DiskIsFullAt(len(whole) // 2)) == 2
     told = output.read_text().splitlines()[-1]
     assert told == (
         f"error: {run_dir} cannot be written to (File too large): make room, or choose another run_dir; "
@@ -227,7 +221,7 @@ def test_a_disk_that_fills_up_at_the_end_ends_in_a_sentence(tiny_dataset, tmp_pa
     weights = run_dir / "model.safetensors"
     size = weights.stat().st_size
     weights.unlink()
-    assert finish(overrides, output, max_file_bytes=size - 1) == 2
+    assert finish(overrides, output, DiskIsFullAt(size // 2)) == 2
     told = output.read_text()
     assert told.splitlines()[-1] == (
         f"error: {run_dir} cannot be written to (File too large): make room, or choose another run_dir; "

@@ -1,7 +1,8 @@
+import itertools
 import json
 import subprocess
 import sys
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -30,31 +31,55 @@ SETTINGS = {
 }
 
 
-def test_medians_and_ratios_tell_what_was_slept():
-    cases = [Case("slow", lambda: time.sleep(0.03)), Case("fast", lambda: time.sleep(0.01), ("slow",))]
-    slow, fast = measure(cases, runs=5)
-    assert slow.lower <= slow.median <= slow.upper
-    assert 0.03 <= slow.median < 0.06
-    assert 0.01 <= fast.median < 0.03
-    assert 1 / 4 < fast.ratios["slow"] < 1 / 1.5
-    assert not slow.ratios
-    assert slow.runs == 5
+class Clock:
+    """Shows what was slept by it, however long that took."""
+
+    now = 0.0
+
+    def perf_counter(self) -> float:
+        return self.now
+
+    def sleeping(self, *seconds: float) -> Callable[[], None]:
+        """What sleeps so long, turn by turn."""
+        turns = itertools.cycle(seconds)
+
+        def sleep() -> None:
+            self.now += next(turns)
+
+        return sleep
 
 
-def test_ratios_are_per_frame_where_frames_are_counted():
-    one, ten = (
-        Case("one", lambda: time.sleep(0.02), frames=1),
-        Case("ten", lambda: time.sleep(0.02), ("one",), frames=10),
+@pytest.fixture
+def clock(monkeypatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr("grabnet.benchmarks.timing.time", clock)
+    return clock
+
+
+def test_medians_spread_and_ratios_tell_what_was_slept(clock):
+    slow, fast = (
+        Case("slow", clock.sleeping(9, 1, 2, 3, 4, 5)),
+        Case("fast", clock.sleeping(9, 2, 4, 6, 8, 30), ("slow",)),
     )
+    slow, fast = measure([slow, fast], runs=5)  # the first turn does not count
+    assert (slow.lower, slow.median, slow.upper, slow.runs) == pytest.approx((2, 3, 4, 5))
+    assert (fast.lower, fast.median, fast.upper, fast.runs) == pytest.approx((4, 6, 8, 5))
+    assert fast.ratios["slow"] == pytest.approx(2)  # turn by turn, though the machine was five times as busy at last
+    assert not slow.ratios and slow.frames_per_second is None
+
+
+def test_a_case_of_fewer_runs_is_compared_with_the_same_turns(clock):
+    short, long = Case("short", clock.sleeping(1, 1, 2, 100)), Case("long", clock.sleeping(9, 3, 6), ("short",), runs=2)
+    short, long = measure([short, long], runs=3)
+    assert (short.runs, long.runs, long.ratios["short"]) == pytest.approx((3, 2, 3))
+
+
+def test_ratios_are_per_frame_where_frames_are_counted(clock):
+    one = Case("one", clock.sleeping(0.02), frames=1)
+    ten = Case("ten", clock.sleeping(0.04), ("one",), frames=10)
     slow, fast = measure([one, ten], runs=3)
-    assert fast.ratios["one"] == pytest.approx(0.1, rel=0.5)
-    assert fast.frames_per_second == pytest.approx(10 * slow.frames_per_second, rel=0.5)
-
-
-def test_the_first_run_does_not_count():
-    delays = iter([0.5, 0, 0, 0])
-    (timing,) = measure([Case("compiles first", lambda: time.sleep(next(delays)))], runs=3)
-    assert timing.upper < 0.1
+    assert fast.ratios["one"] == pytest.approx(0.2)
+    assert (slow.frames_per_second, fast.frames_per_second) == pytest.approx((50, 250))
 
 
 # Less of what takes seconds.

@@ -5,7 +5,7 @@ from grabnet.evaluation.cache import Cache, Table
 from grabnet.evaluation.hands import Hands
 from grabnet.evaluation.measuring import Task, measured
 from tests.evaluation.shapes import ball, moved
-from tests.processes import files_of_at_most
+from tests.faults import files_of_at_most
 
 
 @pytest.fixture

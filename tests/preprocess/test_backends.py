@@ -52,12 +52,12 @@ def test_a_cluster_that_loses_a_worker_writes_what_one_process_writes(grab, made
             while len(shard_names(output / "frames")) < 2:
                 time.sleep(0.002)
             os.kill(cluster.workers[0].pid, signal.SIGKILL)
-            killed.set()
 
-        killed = threading.Event()
-        threading.Thread(target=kill_one_half_way, daemon=True).start()
+        killer = threading.Thread(target=kill_one_half_way, daemon=True)
+        killer.start()
         failures = make(grab, output, cache_dir, "backend=dask", f"scheduler={cluster.scheduler_address}")
-        assert killed.is_set() and failures == {}
+        killer.join()
+        assert failures == {}
         deaths = assert_all_done_but_the_deadly(by_dask(Dying(tmp_path), NAMES, cluster.scheduler_address), tmp_path)
         assert deaths == 2  # among others, and alone
     assert data_set(output) == data_set(made)

@@ -9,7 +9,6 @@ import os
 import random
 import shutil
 import signal
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -27,6 +26,7 @@ from grabnet.errors import UserError
 from grabnet.npz import read_npz
 from grabnet.training_run import train
 from tests.data.test_frames import shard_values
+from tests.faults import DiesPublishing
 from tests.preprocess.tiny_grab import (
     N_FRAMES,
     RESTING,
@@ -38,7 +38,7 @@ from tests.preprocess.tiny_grab import (
     make,
     overrides,
 )  # fmt: skip
-from tests.processes import finish, start
+from tests.processes import finish
 from tests.tiny import tiny_overrides
 
 SCRIPT = "scripts/preprocess.py"
@@ -116,22 +116,17 @@ def test_training_takes_it(made, tmp_path, cache_dir):
 def test_three_kills_leave_no_trace(grab, made, tmp_path, cache_dir):
     output, log = tmp_path / "data", tmp_path / "log.txt"
     arguments = overrides(*grab, output, cache_dir)
-    done = []
+    done = 0
     for _ in range(3):
-        process = start(arguments, log, script=SCRIPT)
-        goal = len(shard_names(output / "frames")) + random.randint(0, 2)
-        while process.is_alive() and len(shard_names(output / "frames")) < goal:
-            time.sleep(0.001)
-        time.sleep(random.uniform(0, 0.05))
-        process.kill()
-        process.join()
-        assert process.exitcode == -signal.SIGKILL, log.read_text()
-        done.append(len(shard_names(output / "frames")))
-    (output / "frames/shards/s1").mkdir(parents=True, exist_ok=True)
-    (output / "frames/shards/s1/.ball_lift_1-abcd1234.safetensors").write_bytes(b"half")  # had it been killed just then
+        n = random.randint(1, 3)
+        fault = DiesPublishing("*/shards/*.safetensors", n)
+        assert finish(arguments, log, fault, SCRIPT) == -signal.SIGKILL, log.read_text()
+        done += n - 1
+        assert len(shard_names(output / "frames")) == done
+        assert list(output.glob("frames/shards/*/.*.safetensors"))  # half of what it was about to publish
     assert finish(arguments, log, script=SCRIPT) == 0, log.read_text()
     assert data_set(output) == data_set(made)
-    assert json.loads((output / "run.json").read_text())["recordings"] == 7 - done[-1]
+    assert json.loads((output / "run.json").read_text())["recordings"] == 7 - done
 
 
 def spoil(path, change):

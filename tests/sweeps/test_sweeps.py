@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import csv
-import os
 import signal
-import time
-from collections.abc import Callable
-from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
 import optuna
@@ -21,16 +17,11 @@ from grabnet.files import write_json
 from grabnet.history import HISTORY, read_history
 from grabnet.sweeps.runs import Run, folder_name
 from hydra_plugins.grabnet_search import STUDY
-from tests.processes import finish, start
+from tests.faults import DiesPublishing
+from tests.processes import finish
 from tests.tiny import tiny_overrides
 
 HOPELESS = "1e30"  # a learning rate with which nothing stays finite
-
-
-def wait_for(condition: Callable[[], object], process: ForkServerProcess, output: Path) -> None:
-    while not condition():
-        assert process.is_alive(), output.read_text()
-        time.sleep(0.02)
 
 
 def table(folder: Path) -> list[dict[str, str]]:
@@ -51,10 +42,8 @@ def test_a_sweep_outlives_a_failure_and_a_kill(tiny_dataset, tmp_path, cache_dir
     sweep, output = tmp_path / "sweep", tmp_path / "output.txt"
     rates = f"model.optimizer.lr=0.001,{HOPELESS},0.002"
     arguments = ["-m", rates, f"sweep_dir={sweep}", *tiny_overrides(tiny_dataset, None, cache_dir)]
-    process = start([*arguments, "test=false"], output)
-    wait_for(lambda: list(sweep.glob("*lr=0.002*/checkpoints/last.ckpt")), process, output)
-    process.kill()
-    process.join()
+    killed = finish([*arguments, "test=false"], output, DiesPublishing("*lr=0.002*/checkpoints/last.ckpt", 2))
+    assert killed == -signal.SIGKILL, output.read_text()
     done = next(sweep.glob("*lr=0.001*"))
     weights, last = done / "model.safetensors", next(sweep.glob("*lr=0.002*"))
     assert weights.exists() and not (last / "model.safetensors").exists()
@@ -64,7 +53,7 @@ def test_a_sweep_outlives_a_failure_and_a_kill(tiny_dataset, tmp_path, cache_dir
     assert finish([*arguments, "test=false"], output) == 1  # one failed
     told = output.read_text()
     assert "diverged: val/loss was never finite; lower model.optimizer.lr." in told and "Traceback" not in told
-    assert f"Going on from {last}/checkpoints/last.ckpt" in told
+    assert f"Going on from {last}/checkpoints/last.previous.ckpt" in told
     assert weights.stat().st_mtime_ns == before
     assert [run["status"] for run in table(sweep)] == ["done", "failed", "done"]
     for run in table(sweep):
@@ -89,10 +78,8 @@ def test_a_search_goes_on_where_it_was_killed(tiny_dataset, tmp_path, cache_dir)
     damaged = sweep / "trial_001/checkpoints/last.ckpt"  # which the second fails by
     damaged.parent.mkdir(parents=True)
     damaged.write_bytes(b"")
-    process = start(arguments, output)
-    wait_for(lambda: (sweep / "trial_002/.hydra").exists(), process, output)
-    process.kill()
-    process.join()
+    killed = finish(arguments, output, DiesPublishing(f"*/trial_002/{HISTORY}"))
+    assert killed == -signal.SIGKILL, output.read_text()
     assert [run.status for run in (Run(sweep / f"trial_{i:03d}", (), {}) for i in range(3))] == [
         "pruned",
         "failed",
@@ -135,14 +122,10 @@ def test_a_sweeper_that_could_not_run_is_told(sweeper, value, sentence, tmp_path
 def test_an_interrupted_cluster_job_is_requeued_and_goes_on(tiny_dataset, tmp_path, cache_dir):
     sweep, output = tmp_path / "sweep", tmp_path / "output.txt"
     more = ("trainer.max_epochs=10", "callbacks.early_stopping=null", "test=false")
-    tiny = tiny_overrides(tiny_dataset, None, cache_dir, "coarsenet", *more)
-    process = start(["-m", "seed=3", "hydra/launcher=submitit_local", f"sweep_dir={sweep}", *tiny], output)
-    wait_for(lambda: list(sweep.glob("*/checkpoints/last.ckpt")), process, output)
-    job = next(p for p in (sweep / ".submitit").iterdir() if p.name.isdigit())
-    (task,) = Path(f"/proc/{job.name}/task/{job.name}/children").read_text().split()
-    os.kill(int(task), signal.SIGUSR2)  # what submitit has a queue send before it takes the machine away
-    process.join()
-    assert process.exitcode == 0, output.read_text()
+    interrupted = "+callbacks.interrupted._target_=tests.sweeps.interrupting.Interrupted"
+    tiny = tiny_overrides(tiny_dataset, None, cache_dir, "coarsenet", *more, interrupted)
+    arguments = ["-m", "seed=3", "hydra/launcher=submitit_local", f"sweep_dir={sweep}", *tiny]
+    assert finish(arguments, output) == 0, output.read_text()
     (run,) = table(sweep)
     assert run["status"] == "done"
     assert [epoch["epoch"] for epoch in read_history(sweep / run["folder"])] == list(range(10))
