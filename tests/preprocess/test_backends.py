@@ -58,8 +58,9 @@ def test_a_cluster_that_loses_a_worker_writes_what_one_process_writes(grab, made
         failures = make(grab, output, cache_dir, "backend=dask", f"scheduler={cluster.scheduler_address}")
         killer.join()
         assert failures == {}
+        cluster.scheduler.allowed_failures = 1  # so that "die once" survives, whatever it was blamed for before
         deaths = assert_all_done_but_the_deadly(by_dask(Dying(tmp_path), NAMES, cluster.scheduler_address), tmp_path)
-        assert deaths == 2  # among others, and alone
+        assert 3 <= deaths <= 4  # twice among others, of which "die once" may have taken one upon itself; twice alone
     assert data_set(output) == data_set(made)
 
 
