@@ -31,8 +31,8 @@ from grabnet.preprocess.pipeline import Preprocessing
 N_FRAMES, N_BODY = 1200, 10_475
 # So many of them are enough to keep two workers busy.
 N_RECORDINGS = 8
-# Of the store that is loaded, and how many as published are loaded beside it.
-N_LOADED, N_PUBLISHED = 300_000, 3_000
+# Of the store that is loaded, in as many shards as GRAB has recordings; how many as published are loaded beside it.
+N_LOADED, N_SHARDS, N_PUBLISHED = 300_000, 1334, 3_000
 # Frames that are written as published.
 N_WRITTEN = 100
 
@@ -130,10 +130,10 @@ def _recording(name: str, thing: Mesh, seed: int) -> Sequence:
 
 
 def _write_many(root: Path, store: Path) -> None:
-    """A store of `N_LOADED` frames, those of another over and over, in as many shards as GRAB has recordings."""
-    frames, shards = FramesStore.load(store).frames, 1334
+    """A store of `N_LOADED` frames, those of another over and over."""
+    frames = FramesStore.load(store).frames
     index = torch.arange(N_LOADED) % len(frames)
-    for k, part in enumerate(index.tensor_split(shards)):
+    for k, part in enumerate(index.tensor_split(N_SHARDS)):
         chosen = frames.select(part)
         values = {n: getattr(chosen, n) for n in ("global_orient", "hand_pose", "transl", "object_orient", "frame")}
         write_shard(root, f"s1/torus_lift_{k}", "s1", "torus", values)

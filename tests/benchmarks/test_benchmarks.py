@@ -84,10 +84,21 @@ def test_ratios_are_per_frame_where_frames_are_counted(clock):
 
 # Less of what takes seconds.
 GRID = AtlasConfig(fine_nodes=16**3, coarse_nodes=10**3)
-SMALLER = {"volume.SPACING": 0.004, "sample.N_GRASPS": 4, "sdf.SMALL": GRID, "sdf.FULL": GRID}
+SMALLER = {
+    "volume.SPACING": 0.004,
+    "sample.N_GRASPS": 4,
+    "sdf.SMALL": GRID,
+    "sdf.FULL": GRID,
+    "preprocess.N_FRAMES": 120,
+    "preprocess.N_RECORDINGS": 2,
+    "preprocess.N_LOADED": 600,
+    "preprocess.N_SHARDS": 6,
+    "preprocess.N_PUBLISHED": 30,
+    "preprocess.N_WRITTEN": 10,
+}
 
 
-@pytest.mark.parametrize("suite", sorted(SUITES.keys() - {"preprocess"}))  # whose workers take seconds to start
+@pytest.mark.parametrize("suite", sorted(SUITES))
 def test_suites_write_their_figures(tmp_path, monkeypatch, cache_dir, tiny_dataset, suite):
     monkeypatch.setenv("GRABNET_CACHE", str(cache_dir))
     for name, value in SMALLER.items():
