@@ -15,8 +15,11 @@ from hydra.errors import InstantiationException
 from grabnet.cli import compose
 from grabnet.errors import UserError
 from grabnet.files import sha256
+from grabnet.geometry.bps import BPS
 from grabnet.history import read_history
 from grabnet.models.checkpoints import newest_whole, read_checkpoint
+from grabnet.models.coarsenet import CoarseNet
+from grabnet.models.refinenet import RefineNet
 from grabnet.models.trained import find_network
 from grabnet.models.weights import load_coarsenet, load_refinenet, read_provenance, save_network
 from grabnet.training_run import train
@@ -64,6 +67,22 @@ def test_faster_ways_learn_nearly_the_same(tiny_dataset, tmp_path, cache_dir):
     assert none == 0 and graphs >= 4  # residual blocks
     assert compiled == pytest.approx(plain, rel=1e-4)
     assert half != plain and half == pytest.approx(plain, rel=0.02)
+
+
+@pytest.mark.parametrize("model", ["refinenet", "grabnet"])
+def test_half_precision_trains_what_refines_as_well(model, tiny_dataset, tmp_path, cache_dir, hand):
+    torch.manual_seed(0)
+    save_network(tmp_path / "coarse.safetensors", CoarseNet(BPS(64), width=32, n_hidden=16), {})
+    save_network(tmp_path / "refine.safetensors", RefineNet(hand, width=32, n_hidden=16), {})
+    start = [f"model.{name}net={tmp_path / name}.safetensors" for name in ("coarse", "refine")]
+    found = []
+    for precision in ("32-true", "bf16-mixed"):
+        more = (f"trainer.precision={precision}", "trainer.max_epochs=1", "test=false", "callbacks.grasps=null")
+        overrides = tiny_overrides(tiny_dataset, tmp_path / precision, cache_dir, model, *more)
+        if model == "grabnet":
+            overrides = [o for o in overrides if not o.startswith("model.")] + start
+        found.append(train(compose("train", overrides))["val/v2v"])
+    assert found[0] != found[1] == pytest.approx(found[0], rel=0.02)
 
 
 class Denormals(L.Callback):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import deepcopy
 
 import torch
 from hydra.utils import instantiate
+from lightning.pytorch.plugins import MixedPrecision, Precision
 from torch import Tensor
 
 from grabnet.benchmarks.run import Benchmark
@@ -21,6 +23,8 @@ from grabnet.models.training import CoarseNetTraining, GraspTraining
 
 # All samples of an object, as the published loss compares them.
 N_PUBLISHED = 2048
+# What may make the full step faster, where the hardware offers it.
+SWITCHES = ("compile=true", "matmul_precision=medium", "trainer.precision=bf16-mixed")
 
 
 def cases(settings: Benchmark) -> list[Case]:
@@ -28,15 +32,18 @@ def cases(settings: Benchmark) -> list[Case]:
     for model in ("coarsenet", "refinenet"):
         overrides = [f"model={model}", f"data.batch_size={settings.batch}", f"data.max_frames={settings.batch}"]
         step = Step.make(settings, [*overrides, *settings.train])
-        bare, plain = f"{model}, network alone", f"{model}, plain torch losses"
+        bare, plain, full = (f"{model}, {what}" for what in ("network alone", "plain torch losses", "full step"))
         found += [
             Case(bare, step.bare),
             Case(plain, step.plain, (bare,), runs=2),
-            Case(f"{model}, full step", step.full, (bare, plain)),
+            Case(full, step.full, (bare, plain)),
         ]
         if model == "coarsenet":
             published = Step.make(settings, [*overrides, *settings.train, f"data.near_points={N_PUBLISHED}"])
-            found.append(Case(f"{model}, full step, {N_PUBLISHED} object points", published.full, (bare, plain)))
+            found.append(Case(f"{full}, {N_PUBLISHED} object points", published.full, (bare, plain)))
+        for switch in SWITCHES:
+            other = Step.make(settings, [*overrides, *settings.train, switch])
+            found.append(Case(f"{full}, {switch}", other.full, (full,)))
     return found
 
 
@@ -44,11 +51,12 @@ class Step:
     """One network's training step on a fixed choice of frames, with all or a part of what belongs to it.
 
     Args:
-        data: set up. module: on the same device, in training mode.
+        data: set up. module: on the same device, in training mode. precision: of the trainer. matmul_precision: of
+            products of float32, as in `configs/train.yaml`.
     """
 
-    def __init__(self, data: GraspDataModule, module: GraspTraining):
-        self.data, self.module = data, module
+    def __init__(self, data: GraspDataModule, module: GraspTraining, precision: Precision, matmul_precision: str):
+        self.data, self.module, self.precision, self.matmul_precision = data, module, precision, matmul_precision
         self.optimizer = module.make_optimizer(module.network.parameters())
         # Of its own: what the bare step descends soon takes the hands far from the objects, where measuring them takes
         # another time than in training.
@@ -65,14 +73,15 @@ class Step:
     def make(cls, settings: Benchmark, overrides: list[str]) -> Step:
         """Step of the networks and data that `configs/train.yaml` and overrides describe."""
         cfg = compose("train", overrides)
-        set_matmul_precision(cfg.matmul_precision)
         torch.manual_seed(settings.seed)
         hand = instantiate(cfg.hand_model)
         data: GraspDataModule = instantiate(cfg.data, hand=hand)
         data.prepare_data()
         data.setup()
         module: GraspTraining = instantiate(cfg.model, hand=hand, contact=data.contact)
-        step = cls(data, module.to(settings.device).train())
+        name = cfg.trainer.precision
+        precision = MixedPrecision(name, settings.device) if name.endswith("-mixed") else Precision()
+        step = cls(data, module.to(settings.device).train(), precision, cfg.matmul_precision)
         if cfg.compile:
             compile_blocks(module.network)
             compile_blocks(step.alone)
@@ -80,25 +89,16 @@ class Step:
 
     def full(self) -> None:
         """Batch assembly, basis points, network, hands, all losses, Adam."""
-        _, terms = self.module.reconstruct(self.data.assemble("train", self.index, turn=True))
-        _descend(torch.stack(list(terms.values())).sum(), self.optimizer)
+        batch = self.data.assemble("train", self.index, turn=True)
+        self._descend(lambda: _total(self.module.reconstruct(batch)[1]), self.optimizer)
 
     def bare(self) -> None:
         """The network's layers, forward and backward, and Adam."""
-        network, hand = self.alone, self.batch.hand
-        if isinstance(self.module, CoarseNetTraining):
-            out, posterior = network(self.features, hand.global_orient, hand.transl)
-            total = out.rotations.sum() + out.transl.sum() + (posterior.mean + posterior.stddev).sum()
-            return _descend(total, self.alone_optimizer)
-        pose, transl = matrix_to_six_d(hand.rotations).flatten(1), hand.transl
-        for _ in range(network.iterations):
-            pose_change, transl_change = network.correction(self.batch.distances, pose, transl)
-            pose, transl = pose + pose_change, transl + transl_change
-        _descend(pose.sum() + transl.sum(), self.alone_optimizer)
+        self._descend(self._bare_output, self.alone_optimizer)
 
     def plain(self) -> None:
         """As published: batch and basis points come from disk, all else is compared anew in every step."""
-        _descend(torch.stack(list(self.plain_terms().values())).sum(), self.optimizer)
+        self._descend(lambda: _total(self.plain_terms()), self.optimizer)
 
     def plain_terms(self) -> dict[str, Tensor]:
         """The loss of the step's batch, by cdist: the module's own with `data.measure=samples` and all samples near."""
@@ -128,11 +128,34 @@ class Step:
             terms["kl"] = loss.kl * divergence.sum(-1).mean()
         return terms
 
+    def _bare_output(self) -> Tensor:
+        """Something to descend of what the layers give."""
+        network, hand = self.alone, self.batch.hand
+        if isinstance(self.module, CoarseNetTraining):
+            out, posterior = network(self.features, hand.global_orient, hand.transl)
+            return out.rotations.sum() + out.transl.sum() + (posterior.mean + posterior.stddev).sum()
+        pose, transl = matrix_to_six_d(hand.rotations).flatten(1), hand.transl
+        for _ in range(network.iterations):
+            pose_change, transl_change = network.correction(self.batch.distances, pose, transl)
+            pose, transl = pose + pose_change, transl + transl_change
+        return pose.sum() + transl.sum()
 
-def _descend(loss: Tensor, optimizer: torch.optim.Optimizer) -> None:
-    optimizer.zero_grad()
-    loss.backward()
-    optimizer.step()
+    def _descend(self, loss: Callable[[], Tensor], optimizer: torch.optim.Optimizer) -> None:
+        """One step, as exact as the trainer makes it."""
+        before = torch.get_float32_matmul_precision()
+        set_matmul_precision(self.matmul_precision)
+        try:
+            with self.precision.forward_context():
+                value = loss()
+            optimizer.zero_grad()
+            value.backward()
+            optimizer.step()
+        finally:
+            set_matmul_precision(before)
+
+
+def _total(terms: dict[str, Tensor]) -> Tensor:
+    return torch.stack(list(terms.values())).sum()
 
 
 def _standard(like: Tensor) -> torch.distributions.Normal:

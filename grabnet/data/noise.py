@@ -8,6 +8,7 @@ from grabnet.body.hand import HandParameters
 from grabnet.data.batches import GraspBatch
 from grabnet.errors import UserError
 from grabnet.geometry.rotations import axis_angle_to_matrix
+from grabnet.precision import full_precision
 
 
 class PoseNoise:
@@ -21,6 +22,7 @@ class PoseNoise:
     def __init__(self, finger: float, wrist: float, transl: float):
         self.finger, self.wrist, self.transl = finger, wrist, transl
 
+    @full_precision
     def __call__(self, batch: GraspBatch) -> HandParameters:
         """A noisy copy of a batch's hands, from torch's global generator."""
         hand = batch.hand
