@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from grabnet.files import write_json
 from grabnet.geometry.mesh import Mesh, save_mesh
 from grabnet.geometry.rotations import matrix_to_axis_angle
 from grabnet.grasps import Grasps
+from grabnet.io.files import write_json
 from grabnet.visual.grasp_sheet import grasp_sheet
 from grabnet.visual.pictures import OBJECT, SKIN, save_image
 from grabnet.visual.viewer import write_viewer

@@ -11,7 +11,7 @@ from typing import Any
 import lightning as L
 
 from grabnet.errors import UserError
-from grabnet.files import write_json
+from grabnet.io.files import write_json
 
 HISTORY = "history.json"
 

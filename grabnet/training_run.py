@@ -24,15 +24,15 @@ from omegaconf import DictConfig, OmegaConf
 from grabnet.cli import fail
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.errors import UserError
-from grabnet.files import DISK_ERRORS, replacing, sha256, write_json
 from grabnet.history import History, best_epoch
+from grabnet.io.files import DISK_ERRORS, replacing, sha256, write_json
+from grabnet.io.provenance import provenance
+from grabnet.io.recipes import difference
 from grabnet.models.acceleration import compile_blocks, denormals_flushed, set_matmul_precision
 from grabnet.models.checkpoints import BEST, AtomicCheckpointIO, newest_whole, read_checkpoint
 from grabnet.models.training import GraspTraining
 from grabnet.models.weights import FILE_NAME, save_network
 from grabnet.processes import OwnProcesses, started_from_outside, together
-from grabnet.provenance import provenance
-from grabnet.recipes import difference
 from grabnet.sweeps.runs import METRICS, Pruned
 
 log = logging.getLogger(__name__)

@@ -14,11 +14,11 @@ from pathlib import Path
 from grabnet.body.hand import HandModel
 from grabnet.cli import fail
 from grabnet.errors import UserError
-from grabnet.files import sha256
+from grabnet.io.files import sha256
+from grabnet.io.provenance import provenance
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet
 from grabnet.models.weights import FILE_NAME, save_network
-from grabnet.provenance import provenance
 
 
 def coarsenet(arguments: argparse.Namespace) -> None:

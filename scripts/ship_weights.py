@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 from grabnet.body.hand import HandModel
 from grabnet.cli import fail
 from grabnet.errors import UserError
-from grabnet.files import replacing, sha256, write_json
+from grabnet.io.files import replacing, sha256, write_json
 from grabnet.models.weights import (
     FILE_NAME,
     load_coarsenet,

@@ -12,7 +12,7 @@ from grabnet.export import FORMATS, result_folders, write_grasps
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.grasps import Grasps
-from grabnet.npz import read_npz
+from grabnet.io.npz import read_npz
 from grabnet.visual.pictures import can_render
 
 # Millimetres, y up.

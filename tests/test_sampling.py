@@ -13,9 +13,9 @@ from omegaconf import OmegaConf
 
 from grabnet.cli import CONFIGS
 from grabnet.errors import UserError
-from grabnet.files import sha256
+from grabnet.io.files import sha256
+from grabnet.io.npz import read_npz
 from grabnet.models.weights import save_network
-from grabnet.npz import read_npz
 from grabnet.sampling import Sampling, sample
 
 SCRIPT = CONFIGS.parent / "scripts" / "sample.py"

@@ -14,9 +14,9 @@ from hydra.errors import InstantiationException
 
 from grabnet.cli import compose
 from grabnet.errors import UserError
-from grabnet.files import sha256
 from grabnet.geometry.bps import BPS
 from grabnet.history import read_history
+from grabnet.io.files import sha256
 from grabnet.models.checkpoints import newest_whole, read_checkpoint
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet

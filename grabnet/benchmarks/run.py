@@ -12,8 +12,8 @@ from rich.table import Table
 
 from grabnet.benchmarks.timing import Case, Timing, measure
 from grabnet.errors import UserError
-from grabnet.files import write_json
-from grabnet.provenance import provenance
+from grabnet.io.files import write_json
+from grabnet.io.provenance import provenance
 
 # Each is a module here with `cases(settings) -> list[Case]`; imported only when it is run.
 SUITES = {

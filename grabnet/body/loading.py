@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from grabnet.errors import UserError
-from grabnet.files import existing
-from grabnet.npz import read_npz
-from grabnet.pickles import read_pickle
+from grabnet.io.files import existing
+from grabnet.io.npz import read_npz
+from grabnet.io.pickles import read_pickle
 
 Shapes = Mapping[str, tuple[int | str, ...]]
 
@@ -40,7 +40,7 @@ def read_model(path: str | Path, shapes: Shapes, schema: str) -> dict[str, np.nd
     """Arrays of a body model, from the `.npz` or `.pkl` that its authors publish.
 
     Args:
-        path: of the file; pickles are decoded without running anything (`grabnet.pickles`).
+        path: of the file; pickles are decoded without running anything (`grabnet.io.pickles`).
         shapes: `HAND_SHAPES` or `BODY_SHAPES`.
         schema: its name, for messages.
 

@@ -25,8 +25,8 @@ from torch import Tensor
 
 from grabnet.body.hand import HandParameters
 from grabnet.errors import UserError
-from grabnet.files import existing, write_bytes, write_json
 from grabnet.geometry.rotations import axis_angle_to_matrix
+from grabnet.io.files import existing, write_bytes, write_json
 
 FORMAT = 3
 

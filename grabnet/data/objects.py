@@ -10,10 +10,10 @@ from rich.progress import track
 from torch import Tensor, nn
 
 from grabnet.errors import UserError
-from grabnet.files import existing, sha256
 from grabnet.geometry.atlas import SDFAtlas, SDFGrid
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.geometry.nearest import nearest_point_distance
+from grabnet.io.files import existing, sha256
 from grabnet.precision import full_precision
 
 OBJECT_MESHES = Path("tools/object_meshes/contact_meshes")  # GRAB's own layout, below its root

@@ -18,12 +18,12 @@ from grabnet.data.frames import finish_store, is_made_by, write_shard
 from grabnet.data.objects import object_files
 from grabnet.data.splits import SPLITS
 from grabnet.errors import UserError
-from grabnet.files import existing, sha256
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.rotations import matrix_to_axis_angle
-from grabnet.npz import npz_rows, read_npy, read_npz
-from grabnet.provenance import provenance
+from grabnet.io.files import existing, sha256
+from grabnet.io.npz import npz_rows, read_npy, read_npz
+from grabnet.io.provenance import provenance
 
 log = logging.getLogger(__name__)
 

@@ -18,10 +18,10 @@ from torch import Tensor
 from grabnet.body.hand import HandParameters
 from grabnet.body.whole import BodyParameters
 from grabnet.errors import UserError
-from grabnet.files import replacing
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
-from grabnet.npz import read_npz
+from grabnet.io.files import replacing
+from grabnet.io.npz import read_npz
 
 N_PARTS = 55  # contact labels: 0 for none, otherwise SMPL-X's joint + 1
 

@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from rich.progress import track
 
 from grabnet.errors import UserError
-from grabnet.files import existing, replacing
+from grabnet.io.files import existing, replacing
 
 # Bytes that one archive may unpack to; GRAB's largest subject stays well below.
 MAX_BYTES = 64 << 30

@@ -11,11 +11,11 @@ import torch
 
 from grabnet.evaluation.cache import Cache
 from grabnet.evaluation.hands import Hands
-from grabnet.files import sha256
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.rotations import about_z
+from grabnet.io.files import sha256
 
 # Ways the object is turned about its vertical to look like another.
 _TURNS = 24

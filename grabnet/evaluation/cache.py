@@ -11,8 +11,8 @@ import numpy as np
 from safetensors import safe_open
 from safetensors.numpy import save
 
-from grabnet.cache import load_or_build
-from grabnet.files import sha256, write_bytes
+from grabnet.io.cache import load_or_build
+from grabnet.io.files import sha256, write_bytes
 
 # Part of every key: raise it when the same content and settings would give other results.
 FORMAT = 2

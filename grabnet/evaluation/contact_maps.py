@@ -9,8 +9,8 @@ import trimesh
 
 from grabnet.evaluation.hands import HandLabels, Hands
 from grabnet.evaluation.scene import Scene
-from grabnet.files import replacing, write_bytes
 from grabnet.geometry.mesh import Mesh
+from grabnet.io.files import replacing, write_bytes
 from grabnet.preprocess.contact import ContactAnnotator
 from grabnet.visual.pictures import OBJECT, SKIN
 

@@ -10,9 +10,9 @@ from grabnet.data.frames import FramesStore
 from grabnet.evaluation.hands import Hands
 from grabnet.evaluation.metrics import Metric
 from grabnet.evaluation.scene import Scene
-from grabnet.files import sha256
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
+from grabnet.io.files import sha256
 
 # Hands posed at once.
 _BATCH = 256

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
-from grabnet.files import sha256
 from grabnet.geometry.openings import close
+from grabnet.io.files import sha256
 
 # GRAB's numbers of the right and the left hand; those of fingers follow its joints (spec 1).
 _WRIST_PART = {"right": 22, "left": 21}

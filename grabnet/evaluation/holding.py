@@ -19,8 +19,8 @@ from grabnet.body.hand import HandModel
 from grabnet.evaluation.metrics import Metric
 from grabnet.evaluation.physics import Outcome, PhysicsConfig, Simulator, engines
 from grabnet.evaluation.scene import Scene
-from grabnet.files import sha256
 from grabnet.geometry.mesh import Mesh
+from grabnet.io.files import sha256
 from grabnet.physics.decomposition import DecompositionConfig, DecompositionError, convex_pieces
 
 _MOVED = "how far the object's centre moves when let go for 35 steps of 1/240 s, the hand fixed, friction 3, 1 kg"

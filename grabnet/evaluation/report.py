@@ -22,8 +22,8 @@ from grabnet.evaluation.reconstruction import Errors
 from grabnet.evaluation.summary import ALL, Figure, Row, find
 from grabnet.evaluation.tables import digits, headlines
 from grabnet.evaluation.views import grasp_view, heat_view
-from grabnet.files import replacing
 from grabnet.geometry.mesh import Mesh
+from grabnet.io.files import replacing
 from grabnet.visual.pictures import can_render
 
 _TEMPLATE = Path(__file__).with_name("report.html")

@@ -32,9 +32,9 @@ from grabnet.evaluation.rows import make_rows
 from grabnet.evaluation.settings import Evaluation
 from grabnet.evaluation.summary import Row, figures, surprises
 from grabnet.evaluation.tables import write_csv, write_grasps_csv, write_json_tables, write_latex
-from grabnet.files import sha256
+from grabnet.io.files import sha256
+from grabnet.io.provenance import provenance
 from grabnet.models.weights import load_coarsenet, load_refinenet
-from grabnet.provenance import provenance
 
 
 def evaluate(wanted: Evaluation) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from grabnet.evaluation.metrics import Metric
 from grabnet.evaluation.summary import ALL, find
-from grabnet.files import replacing, write_json
+from grabnet.io.files import replacing, write_json
 
 if TYPE_CHECKING:
     from grabnet.evaluation.report import Findings

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from grabnet.errors import UserError
 from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.queries import MeshQuery
-from grabnet.npz import read_npz
+from grabnet.io.npz import read_npz
 
 FEATURES = ("dists", "deltas", "closest")
 

@@ -11,8 +11,8 @@ import numpy as np
 import trimesh
 
 from grabnet.errors import UserError
-from grabnet.files import existing, sha256, write_bytes
 from grabnet.geometry.mesh_formats import read_geometry
+from grabnet.io.files import existing, sha256, write_bytes
 
 MAX_FACES = 2_000_000
 # The axis that points up, where a format's specification says so; every other file is taken as z-up.

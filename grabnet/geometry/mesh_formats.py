@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 
 from grabnet.errors import UserError
-from grabnet.files import existing
+from grabnet.io.files import existing
 
 
 def _looks_like_stl(data: bytes) -> bool:

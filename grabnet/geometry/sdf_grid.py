@@ -12,11 +12,11 @@ from safetensors import safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from grabnet.cache import default_cache, load_or_build
-from grabnet.files import sha256, write_bytes
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.sdf_sampling import sample
+from grabnet.io.cache import default_cache, load_or_build
+from grabnet.io.files import sha256, write_bytes
 
 # Part of the cache key: raise it when the same mesh and config would give other values.
 FORMAT = 1

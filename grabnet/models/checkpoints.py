@@ -11,7 +11,7 @@ import torch
 from lightning.fabric.plugins import TorchCheckpointIO
 
 from grabnet.errors import UserError
-from grabnet.files import replacing
+from grabnet.io.files import replacing
 
 BEST, LAST, PREVIOUS = "best.ckpt", "last.ckpt", "last.previous.ckpt"
 

@@ -12,13 +12,13 @@ from torch import Tensor, nn
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.errors import UserError
-from grabnet.files import existing
 from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.mesh import Mesh, file_to_object, load_mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.rotations import about_z
 from grabnet.geometry.sdf_grid import SDFGrid
 from grabnet.grasps import Grasps
+from grabnet.io.files import existing
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet
 from grabnet.models.trained import OPEN_GRABBER, check_hand

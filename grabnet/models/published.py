@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from grabnet.errors import UserError
-from grabnet.files import existing
+from grabnet.io.files import existing
 
 # Published name of each of our layers.
 COARSENET = {

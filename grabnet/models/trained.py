@@ -6,7 +6,7 @@ from pathlib import Path
 
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
-from grabnet.files import sha256
+from grabnet.io.files import sha256
 from grabnet.models.weights import FILE_NAME, network_kind, read_provenance, weights_file
 
 # Both networks, trained on the open data; see its README.

@@ -16,8 +16,8 @@ from grabnet.body.hand import HandModel, HandParameters
 from grabnet.data.batches import GraspBatch
 from grabnet.data.splits import SPLITS
 from grabnet.errors import UserError
-from grabnet.files import sha256
 from grabnet.geometry.bps import BPS
+from grabnet.io.files import sha256
 from grabnet.losses.grasp import CoarseNetLoss, RefineNetLoss
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet

@@ -13,8 +13,8 @@ from torch import nn
 
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
-from grabnet.files import existing, write_bytes
 from grabnet.geometry.bps import BPS
+from grabnet.io.files import existing, write_bytes
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet
 

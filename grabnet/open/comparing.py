@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from grabnet.errors import UserError
-from grabnet.npz import read_npz
+from grabnet.io.npz import read_npz
 
 TOLERANCE = 1e-4  # metres, or shares of weight: what another machine's arithmetic may change
 

@@ -11,12 +11,12 @@ from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
 from grabnet.data.frames import finish_store, is_made_by, write_shard
 from grabnet.data.objects import OBJECT_MESHES
-from grabnet.files import sha256
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.rotations import about_z, axis_angle_to_matrix, matrix_to_axis_angle
+from grabnet.io.files import sha256
+from grabnet.io.provenance import provenance
 from grabnet.open.grasps.store import OPEN_GRASPS, OpenGrasps, load_open_grasps
 from grabnet.open.objects.writing import write_objects
-from grabnet.provenance import provenance
 
 
 class OpenDataset:

@@ -14,12 +14,12 @@ from safetensors import safe_open
 from safetensors.numpy import save
 from scipy.spatial import ConvexHull, QhullError
 
-from grabnet.cache import default_cache, load_or_build
 from grabnet.errors import UserError
-from grabnet.files import sha256, write_bytes
 from grabnet.geometry.intersections import MovingMesh, find_crossings
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
+from grabnet.io.cache import default_cache, load_or_build
+from grabnet.io.files import sha256, write_bytes
 from grabnet.physics.coacd_process import CoacdError, cut
 
 # Part of the cache key: raise it when the same mesh, config and version of CoACD would give other pieces.

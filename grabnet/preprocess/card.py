@@ -10,7 +10,7 @@ from typing import Any
 
 from grabnet.body.anatomy import FINGERS
 from grabnet.data.splits import MIRRORED
-from grabnet.files import replacing, write_json
+from grabnet.io.files import replacing, write_json
 from grabnet.preprocess.filtering import Waterfall
 from grabnet.preprocess.statistics import agreement
 

@@ -20,12 +20,12 @@ from grabnet.data.sequences import load_below
 from grabnet.data.splits import MIRRORED, split_of
 from grabnet.data.targets import contact_share
 from grabnet.errors import UserError
-from grabnet.files import replacing
 from grabnet.geometry.mesh import load_mesh, save_mesh
+from grabnet.io.files import replacing
+from grabnet.io.provenance import versions
 from grabnet.preprocess.card import Card
 from grabnet.preprocess.grasp_track import mirror_image
 from grabnet.preprocess.recordings import Recordings
-from grabnet.provenance import versions
 
 # Headers of shards (`read_header`) by name.
 Headers = Mapping[str, Mapping[str, Any]]

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from grabnet.body.hand import HandModel, HandParameters
-from grabnet.files import replacing
+from grabnet.io.files import replacing
 from grabnet.preprocess.filtering import Waterfall
 from grabnet.visual.pictures import Shape, can_render, contact_sheet, render, save_image
 

@@ -25,14 +25,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from grabnet.data.frames import read_header, shard_names, shard_path
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.errors import UserError
-from grabnet.files import leftovers, sha256, write_json
+from grabnet.io.files import leftovers, sha256, write_json
+from grabnet.io.provenance import provenance
 from grabnet.preprocess.backends import Outcome, by_dask, by_joblib, machine_cores
 from grabnet.preprocess.filtering import FrameFilter
 from grabnet.preprocess.finishing import Finishing
 from grabnet.preprocess.recordings import Recordings
 from grabnet.preprocess.resuming import alone_in, begin, shards_done
 from grabnet.preprocess.sequence_work import SequenceWork, peak_memory
-from grabnet.provenance import provenance
 
 SOURCES, LABELS, BACKENDS = ("open", "grab"), ("stored", "recompute"), ("joblib", "dask")
 # Modules here that decide no shard.

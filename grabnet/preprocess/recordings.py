@@ -10,7 +10,7 @@ from grabnet.body.hand import OPEN_HANDS
 from grabnet.body.whole import OPEN_BODY
 from grabnet.data.objects import OBJECT_MESHES, object_files
 from grabnet.errors import UserError
-from grabnet.files import existing
+from grabnet.io.files import existing
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from typing import Any
 from grabnet.data.frames import read_header, shard_names, shard_path
 from grabnet.data.splits import MIRRORED
 from grabnet.errors import UserError
-from grabnet.files import existing, leftovers, sha256, write_json
+from grabnet.io.files import existing, leftovers, sha256, write_json
+from grabnet.io.recipes import difference
 from grabnet.preprocess.recordings import Recordings
-from grabnet.recipes import difference
 
 
 @contextmanager

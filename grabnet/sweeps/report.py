@@ -13,8 +13,8 @@ from matplotlib.ticker import MaxNLocator
 from rich.console import Console
 from rich.table import Table
 
-from grabnet.files import replacing
 from grabnet.history import best_epoch, read_history
+from grabnet.io.files import replacing
 from grabnet.sweeps.runs import DONE, FAILED, PRUNED, UNFINISHED, Run
 
 COLOURS = {DONE: "tab:blue", PRUNED: "tab:orange", FAILED: "tab:red", UNFINISHED: "tab:gray"}

@@ -17,7 +17,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from grabnet.errors import UserError
-from grabnet.files import write_json
+from grabnet.io.files import write_json
 
 METRICS, OUTCOME = "metrics.json", "outcome.json"
 DONE, PRUNED, FAILED, UNFINISHED = "done", "pruned", "failed", "unfinished"

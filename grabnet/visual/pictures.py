@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw, ImageFont
 
-from grabnet.files import replacing
+from grabnet.io.files import replacing
 
 if TYPE_CHECKING:
     import pyvista

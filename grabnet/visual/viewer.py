@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from grabnet.files import replacing
 from grabnet.grasps import Grasps
+from grabnet.io.files import replacing
 from grabnet.visual.pictures import OBJECT, SKIN
 
 _TEMPLATE = Path(__file__).with_name("viewer.html")

@@ -7,8 +7,8 @@ import torch
 
 from grabnet.data.frames import FramesStore, finish_store, write_shard
 from grabnet.errors import UserError
-from grabnet.files import write_json
 from grabnet.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from grabnet.io.files import write_json
 
 
 def shard_values(n: int, seed: int) -> dict[str, torch.Tensor]:

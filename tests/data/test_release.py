@@ -17,7 +17,7 @@ from grabnet.data.release import GrabnetRelease, read_frame_names
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
-from grabnet.npz import read_npz
+from grabnet.io.npz import read_npz
 from grabnet.training_run import train
 from tests.tiny import tiny_overrides
 

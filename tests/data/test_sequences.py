@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from grabnet.body.hand import HandModel
 from grabnet.data.sequences import load_below, read_sequence, write_sequence
 from grabnet.errors import UserError
-from grabnet.npz import read_npz
+from grabnet.io.npz import read_npz
 from tests.data.grab import random_sequence
 
 T = 7

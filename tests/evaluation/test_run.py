@@ -20,9 +20,9 @@ from grabnet.cli import compose
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.errors import UserError
 from grabnet.evaluation.run import evaluate
-from grabnet.files import sha256
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.rotations import matrix_to_axis_angle
+from grabnet.io.files import sha256
 from grabnet.models.grabber import Grabber
 from grabnet.models.weights import save_network
 

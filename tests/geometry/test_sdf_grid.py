@@ -3,10 +3,10 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from grabnet.cache import default_cache
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.sdf_grid import AtlasConfig, Level, SDFGrid
+from grabnet.io.cache import default_cache
 from tests.geometry.shapes import CLOSED_FORMS, box, cup, sphere
 
 SMALL = AtlasConfig(fine_nodes=48**3, coarse_nodes=32**3)

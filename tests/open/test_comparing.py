@@ -3,7 +3,7 @@ import pytest
 
 from grabnet.body.hand import OPEN_HANDS
 from grabnet.errors import UserError
-from grabnet.npz import read_npz
+from grabnet.io.npz import read_npz
 from grabnet.open.comparing import TOLERANCE, compare_models
 
 SHIPPED = OPEN_HANDS / "MANO_RIGHT.npz"

@@ -23,7 +23,7 @@ from grabnet.data.datamodule import GraspDataModule
 from grabnet.data.frames import FramesStore, shard_names, write_shard
 from grabnet.data.sequences import read_sequence, write_sequence
 from grabnet.errors import UserError
-from grabnet.npz import read_npz
+from grabnet.io.npz import read_npz
 from grabnet.training_run import train
 from tests.data.test_frames import shard_values
 from tests.faults import DiesPublishing

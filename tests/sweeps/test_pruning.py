@@ -7,8 +7,8 @@ import math
 import pytest
 
 from grabnet.cli import compose
-from grabnet.files import write_json
 from grabnet.history import HISTORY
+from grabnet.io.files import write_json
 from grabnet.sweeps.pruning import MedianPruning
 from grabnet.sweeps.runs import Pruned
 from grabnet.training_run import train

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import csv
 
-from grabnet.files import write_json
 from grabnet.history import HISTORY
+from grabnet.io.files import write_json
 from grabnet.sweeps.report import report
 from grabnet.sweeps.runs import Run
 

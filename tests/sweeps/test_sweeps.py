@@ -13,8 +13,8 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 from PIL import Image
 
-from grabnet.files import write_json
 from grabnet.history import HISTORY, read_history
+from grabnet.io.files import write_json
 from grabnet.sweeps.runs import Run, folder_name
 from hydra_plugins.grabnet_search import STUDY
 from tests.faults import DiesPublishing

@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 
 from grabnet.body.anatomy import vertex_normals
 from grabnet.body.hand import OPEN_HANDS, HandModel
-from grabnet.files import replacing
-from grabnet.npz import read_npz
+from grabnet.io.files import replacing
+from grabnet.io.npz import read_npz
 from grabnet.open.body.gluing import Gluing
 from grabnet.open.body.skeleton import JOINTS, MIRRORED, PARENTS, RIGHT_HAND, merged_weights
 from grabnet.open.body.source import AdultBodies, sample_bodies

@@ -11,7 +11,7 @@ import torch
 from grabnet.body.hand import HandModel
 from grabnet.body.whole import OPEN_BODY, BodyModel
 from grabnet.geometry.mesh import Mesh, save_mesh
-from grabnet.npz import read_npz
+from grabnet.io.npz import read_npz
 from grabnet.open.body.gluing import Gluing
 from grabnet.open.grasps.store import OpenGrasps
 

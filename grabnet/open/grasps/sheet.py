@@ -9,7 +9,7 @@ from PIL import Image
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
-from grabnet.files import replacing
+from grabnet.io.files import replacing
 from grabnet.open.grasps.store import OpenGrasps
 from grabnet.open.objects import build_object
 from grabnet.visual.pictures import OBJECT, SKIN, Shape, contact_sheet, render

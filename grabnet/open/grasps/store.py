@@ -16,9 +16,9 @@ from torch import Tensor
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import OPEN_HANDS, HandParameters
 from grabnet.errors import UserError
-from grabnet.files import existing, sha256, write_bytes, write_json
 from grabnet.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
-from grabnet.provenance import provenance
+from grabnet.io.files import existing, sha256, write_bytes, write_json
+from grabnet.io.provenance import provenance
 
 if TYPE_CHECKING:
     from grabnet.open.grasps.synthesise import ObjectGrasps, SynthesisConfig

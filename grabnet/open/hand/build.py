@@ -11,7 +11,7 @@ import torch
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
-from grabnet.files import replacing
+from grabnet.io.files import replacing
 from grabnet.open.hand.decimate import decimate
 from grabnet.open.hand.flatten import FlatHands, flatten
 from grabnet.open.hand.knuckles import move_knuckles

@@ -22,8 +22,9 @@ from grabnet.body.whole import OPEN_BODY, BodyModel
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import write_sequence
 from grabnet.errors import UserError
-from grabnet.files import sha256, write_json
 from grabnet.geometry.mesh import load_mesh
+from grabnet.io.files import sha256, write_json
+from grabnet.io.provenance import provenance
 from grabnet.open.body.subjects import open_subjects, write_subjects
 from grabnet.open.grasps.store import OPEN_GRASPS, OpenGrasps, load_open_grasps
 from grabnet.open.objects.writing import write_objects
@@ -36,7 +37,6 @@ from grabnet.open.sequences.props import Holds, Prop
 from grabnet.open.sequences.setting import TABLE_HEIGHTS, Table
 from grabnet.open.sequences.uses import use_of
 from grabnet.open.sequences.writing import to_sequence, write_table
-from grabnet.provenance import provenance
 
 SHARES = {"use": 0.43, "pass": 0.28, "lift": 0.2, "offhand": 0.09}  # of the recordings, about GRAB's
 _LIES_AS_MODELLED = 0.75  # share of draws in which the object stands as it was modelled

@@ -11,7 +11,7 @@ from PIL import Image
 
 from grabnet.body.whole import BodyModel
 from grabnet.data.sequences import load_below, read_sequence
-from grabnet.files import replacing
+from grabnet.io.files import replacing
 from grabnet.visual.pictures import OBJECT, SKIN, Shape, contact_sheet, render
 
 _TABLE = (0.78, 0.74, 0.66)

@@ -13,11 +13,11 @@ import trimesh
 
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.body.whole import OPEN_BODY, BodyModel, BodyParameters
-from grabnet.files import sha256
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.rotations import axis_angle_to_matrix
-from grabnet.npz import read_npz
+from grabnet.io.files import sha256
+from grabnet.io.npz import read_npz
 from grabnet.open.body.gluing import Gluing
 from grabnet.open.body.skeleton import JOINTS, MIRRORED, PARENTS, RIGHT_HAND
 from grabnet.open.body.subjects import open_subjects

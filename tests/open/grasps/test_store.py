@@ -5,9 +5,9 @@ import torch
 
 from grabnet.body.hand import OPEN_HANDS
 from grabnet.errors import UserError
-from grabnet.files import sha256
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.rotations import random_rotations
+from grabnet.io.files import sha256
 from grabnet.open.grasps.posing import GraspPose
 from grabnet.open.grasps.store import OPEN_GRASPS, collect, load_open_grasps, save_open_grasps
 from grabnet.open.grasps.synthesise import SUBJECTS, ObjectGrasps, SynthesisConfig, subject_betas

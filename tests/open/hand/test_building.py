@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from grabnet.body.anatomy import JOINTS, Anatomy, boundary_loop
 from grabnet.body.hand import OPEN_HANDS, HandModel
 from grabnet.errors import UserError
-from grabnet.npz import read_npz
+from grabnet.io.npz import read_npz
 from grabnet.open.hand.build import mirrored
 from grabnet.open.hand.decimate import decimate
 from grabnet.open.hand.flatten import FlatHands, flatten

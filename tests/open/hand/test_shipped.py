@@ -8,9 +8,9 @@ import torch
 
 from grabnet.body.anatomy import FINGERS, JOINTS, Anatomy, boundary_loop
 from grabnet.body.hand import OPEN_HANDS, HandParameters
-from grabnet.files import sha256
 from grabnet.geometry.rotations import axis_angle_to_matrix
-from grabnet.npz import read_npz
+from grabnet.io.files import sha256
+from grabnet.io.npz import read_npz
 from grabnet.open.hand.build import mirrored
 
 SIDES = ("RIGHT", "LEFT")

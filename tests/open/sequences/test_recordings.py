@@ -11,9 +11,9 @@ from grabnet.body.whole import OPEN_BODY, BodyModel
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import load_below, read_sequence
 from grabnet.errors import UserError
-from grabnet.files import sha256, write_json
 from grabnet.geometry.mesh import save_mesh
-from grabnet.npz import read_npz
+from grabnet.io.files import sha256, write_json
+from grabnet.io.npz import read_npz
 from grabnet.open.body.subjects import open_subjects, write_subjects
 from grabnet.open.grasps.store import load_open_grasps
 from grabnet.open.objects import build_object

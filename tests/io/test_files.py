@@ -8,9 +8,9 @@ import torch
 
 from grabnet.data.frames import finish_store
 from grabnet.errors import UserError
-from grabnet.files import existing, replacing, sha256, write_json
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.sdf_grid import Level, SDFGrid
+from grabnet.io.files import existing, replacing, sha256, write_json
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.weights import save_network
 from grabnet.open.grasps.store import load_open_grasps, save_open_grasps

@@ -14,9 +14,9 @@ import scipy.sparse
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from grabnet import pickles
 from grabnet.errors import UserError
-from grabnet.pickles import decode_pickle, read_pickle
+from grabnet.io import pickles
+from grabnet.io.pickles import decode_pickle, read_pickle
 
 PLAIN = {
     "text": "mäuse",

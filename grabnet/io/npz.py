@@ -11,8 +11,8 @@ from typing import IO, Any
 import numpy as np
 
 from grabnet.errors import UserError
-from grabnet.files import existing
-from grabnet.pickles import MAX_BYTES, decode_pickle
+from grabnet.io.files import existing
+from grabnet.io.pickles import MAX_BYTES, decode_pickle
 
 # What zipfile and numpy raise for files that are not what they should be.
 _DAMAGE = (OSError, ValueError, EOFError, KeyError, NotImplementedError, RuntimeError, zipfile.BadZipFile, zlib.error)

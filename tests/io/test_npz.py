@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from grabnet.errors import UserError
-from grabnet.npz import npz_rows, read_npz
+from grabnet.io.npz import npz_rows, read_npz
 
 ARRAYS = {
     "float": np.linspace(0, 1, 24).reshape(2, 3, 4),

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from grabnet.errors import UserError
-from grabnet.files import existing
+from grabnet.io.files import existing
 
 # Bytes that one file may hold or one array take once unpacked; GRAB's largest sequences stay below a tenth of it.
 MAX_BYTES = 4 << 30
