@@ -3,7 +3,7 @@
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from grabnet.cli import hydra_entry
+from grabnet.cli.entry import hydra_entry
 
 
 @hydra_entry("train")

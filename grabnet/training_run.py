@@ -21,7 +21,7 @@ from hydra.utils import instantiate
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from omegaconf import DictConfig, OmegaConf
 
-from grabnet.cli import fail
+from grabnet.cli.entry import fail
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.errors import UserError
 from grabnet.history import History, best_epoch

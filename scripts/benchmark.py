@@ -5,7 +5,7 @@ from __future__ import annotations
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from grabnet.cli import hydra_entry
+from grabnet.cli.entry import hydra_entry
 
 
 @hydra_entry("benchmark")

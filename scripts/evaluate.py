@@ -8,8 +8,8 @@ import sys
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from grabnet.arguments import quoted
-from grabnet.cli import hydra_entry
+from grabnet.cli.entry import hydra_entry
+from grabnet.cli.quoting import quoted
 
 PATHS = ("coarsenet", "refinenet", "runs", "grasps", "output", "cache_dir", "objects.dir", "hand_model.path")
 

@@ -12,7 +12,7 @@ import argparse
 from pathlib import Path
 
 from grabnet.body.hand import HandModel
-from grabnet.cli import fail
+from grabnet.cli.entry import fail
 from grabnet.errors import UserError
 from grabnet.io.files import sha256
 from grabnet.io.provenance import provenance

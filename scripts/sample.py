@@ -7,8 +7,8 @@ import sys
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from grabnet.arguments import quoted
-from grabnet.cli import hydra_entry
+from grabnet.cli.entry import hydra_entry
+from grabnet.cli.quoting import quoted
 
 PATHS = ("mesh", "output", "format", "coarsenet", "refinenet", "runs", "hand_model", "cache_dir")
 

@@ -13,7 +13,7 @@ import torch
 from omegaconf import OmegaConf
 
 from grabnet.body.hand import HandModel
-from grabnet.cli import fail
+from grabnet.cli.entry import fail
 from grabnet.errors import UserError
 from grabnet.io.files import replacing, sha256, write_json
 from grabnet.models.weights import (

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from grabnet.cli import fail
+from grabnet.cli.entry import fail
 from grabnet.data.unpacking import unpack
 from grabnet.errors import UserError
 

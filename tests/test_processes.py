@@ -8,7 +8,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from grabnet.cli import compose
+from grabnet.cli.entry import compose
 from grabnet.errors import UserError
 from grabnet.models.checkpoints import BEST, LAST, PREVIOUS
 from grabnet.training_run import train

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 from omegaconf import OmegaConf
 
-from grabnet.cli import CONFIGS
+from grabnet.cli.entry import CONFIGS
 from grabnet.errors import UserError
 from grabnet.io.files import sha256
 from grabnet.io.npz import read_npz

@@ -12,7 +12,7 @@ import pytest
 import torch
 from hydra.errors import InstantiationException
 
-from grabnet.cli import compose
+from grabnet.cli.entry import compose
 from grabnet.errors import UserError
 from grabnet.geometry.bps import BPS
 from grabnet.history import read_history

@@ -19,7 +19,7 @@ from grabnet.benchmarks.run import Benchmark
 from grabnet.benchmarks.scene import meshes
 from grabnet.benchmarks.timing import Case
 from grabnet.body.hand import OPEN_HANDS, HandModel
-from grabnet.cli import compose
+from grabnet.cli.entry import compose
 from grabnet.data.frames import FramesStore, finish_store, write_shard
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import BodyTrack, ContactTrack, HandTrack, RigidTrack, Sequence, write_sequence

@@ -13,7 +13,7 @@ from torch import Tensor
 from grabnet.benchmarks.run import Benchmark
 from grabnet.benchmarks.timing import Case
 from grabnet.body.anatomy import vertex_normals
-from grabnet.cli import compose
+from grabnet.cli.entry import compose
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.geometry.nearest import nearest_point, nearest_point_distance
 from grabnet.geometry.rotations import matrix_to_six_d

@@ -13,7 +13,7 @@ from grabnet.benchmarks.physics import CONFIG
 from grabnet.benchmarks.run import SUITES, Benchmark
 from grabnet.benchmarks.timing import Case, measure
 from grabnet.benchmarks.train import Step
-from grabnet.cli import CONFIGS
+from grabnet.cli.entry import CONFIGS
 from grabnet.errors import UserError
 from grabnet.geometry.sdf_grid import AtlasConfig
 from tests.tiny import tiny_overrides

@@ -8,7 +8,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from grabnet.body.hand import OPEN_HANDS, HandModel
-from grabnet.cli import compose
+from grabnet.cli.entry import compose
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.data.frames import FramesStore
 from grabnet.data.noise import StoredNoise

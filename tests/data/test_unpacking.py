@@ -9,7 +9,7 @@ import zipfile
 
 import pytest
 
-from grabnet.cli import CONFIGS
+from grabnet.cli.entry import CONFIGS
 from grabnet.data.unpacking import unpack, unpack_archive
 from grabnet.errors import UserError
 

@@ -16,7 +16,7 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 
 from grabnet.body.hand import HandModel
-from grabnet.cli import compose
+from grabnet.cli.entry import compose
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.errors import UserError
 from grabnet.evaluation.run import evaluate

@@ -2,7 +2,7 @@ import torch
 from hydra.utils import instantiate
 from torch.distributions import Normal
 
-from grabnet.cli import compose
+from grabnet.cli.entry import compose
 from grabnet.data.datamodule import GraspDataModule
 
 

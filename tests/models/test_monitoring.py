@@ -8,7 +8,7 @@ from hydra.utils import instantiate
 from PIL import Image
 
 from grabnet.body.anatomy import FINGERS, Anatomy
-from grabnet.cli import compose, refusal
+from grabnet.cli.entry import compose, refusal
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.data.noise import PoseNoise
 from grabnet.losses.grasp import RefineNetLoss

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from grabnet.body.hand import OPEN_HANDS, HandParameters
-from grabnet.cli import CONFIGS
+from grabnet.cli.entry import CONFIGS
 from grabnet.errors import UserError
 from grabnet.geometry.rotations import random_rotations
 from grabnet.models.coarsenet import CoarseNet

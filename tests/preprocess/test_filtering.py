@@ -13,8 +13,8 @@ from omegaconf import OmegaConf
 from scipy.spatial.transform import Rotation
 
 from grabnet.body.hand import HandModel
-from grabnet.cli import CONFIGS
-from grabnet.config import check
+from grabnet.cli.checking import check
+from grabnet.cli.entry import CONFIGS
 from grabnet.data.frames import FramesStore, finish_store, write_shard
 from grabnet.data.sequences import ContactTrack, RigidTrack
 from grabnet.preprocess.filtering import Waterfall, frames_left

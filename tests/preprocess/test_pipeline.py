@@ -18,7 +18,7 @@ from hydra.utils import instantiate
 from safetensors.torch import load_file
 
 from grabnet.body.hand import HandModel
-from grabnet.cli import compose
+from grabnet.cli.entry import compose
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.data.frames import FramesStore, shard_names, write_shard
 from grabnet.data.sequences import read_sequence, write_sequence

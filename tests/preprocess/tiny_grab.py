@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from grabnet.body.hand import OPEN_HANDS, HandModel, HandParameters
 from grabnet.body.whole import BodyModel
-from grabnet.cli import compose
+from grabnet.cli.entry import compose
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import Sequence, write_sequence
 from grabnet.geometry.mesh import Mesh, save_mesh

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from grabnet.cli import compose
+from grabnet.cli.entry import compose
 from grabnet.history import HISTORY
 from grabnet.io.files import write_json
 from grabnet.sweeps.pruning import MedianPruning

@@ -12,12 +12,12 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from grabnet.cli import CONFIGS, compose, refusal
-from grabnet.config import check
+from grabnet.cli.checking import check
+from grabnet.cli.entry import CONFIGS, compose, refusal
 from grabnet.errors import UserError
 from train import main
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from grabnet.arguments import quoted
+from grabnet.cli.quoting import quoted
 
 
 def read_back(argument: str):
