@@ -12,9 +12,9 @@ import torch
 import warp as wp
 from torch import Tensor, nn
 
-from grabnet.geometry import lookup_kernels as kernels
+from grabnet.geometry.kernels import lookup as kernels
+from grabnet.geometry.kernels.launch import launch
 from grabnet.geometry.sdf_grid import SDFGrid
-from grabnet.geometry.warping import launch
 
 
 class SDFAtlas(nn.Module):

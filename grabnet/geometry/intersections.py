@@ -12,8 +12,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
-from grabnet.geometry import intersection_kernels as kernels
-from grabnet.geometry.warping import launch
+from grabnet.geometry.kernels import intersections as kernels
+from grabnet.geometry.kernels.launch import launch
 
 
 class MovingMesh:

@@ -6,8 +6,8 @@ import torch
 import warp as wp
 from torch import Tensor, nn
 
-from grabnet.geometry import nearest_kernels as kernels
-from grabnet.geometry.warping import launch
+from grabnet.geometry.kernels import nearest as kernels
+from grabnet.geometry.kernels.launch import launch
 
 
 class NearestVertex(nn.Module):

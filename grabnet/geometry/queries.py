@@ -9,9 +9,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from grabnet.geometry import kernels
+from grabnet.geometry.kernels import queries as kernels
+from grabnet.geometry.kernels.launch import launch
 from grabnet.geometry.mesh import Mesh
-from grabnet.geometry.warping import launch
 
 # Rays cast to tell in from out: the majority decides, should one graze an edge.
 _RAYS = 3

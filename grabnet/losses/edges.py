@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from grabnet.geometry.warping import launch
-from grabnet.losses import edge_kernels as kernels
+from grabnet.geometry.kernels import edges as kernels
+from grabnet.geometry.kernels.launch import launch
 
 
 class EdgeL1(nn.Module):

@@ -16,11 +16,11 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from grabnet.geometry import kernels
 from grabnet.geometry.intersections import Crossings, MovingMesh, find_crossings
+from grabnet.geometry.kernels import queries as kernels
+from grabnet.geometry.kernels.launch import launch
 from grabnet.geometry.lids import Lids
 from grabnet.geometry.mesh import Mesh
-from grabnet.geometry.warping import launch
 
 
 @dataclass(frozen=True)

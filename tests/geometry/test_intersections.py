@@ -8,9 +8,9 @@ import torch
 import trimesh
 
 from grabnet.body.hand import HandModel
-from grabnet.geometry import kernels
 from grabnet.geometry.intersections import MovingMesh, find_crossings
-from grabnet.geometry.warping import launch
+from grabnet.geometry.kernels import queries as kernels
+from grabnet.geometry.kernels.launch import launch
 
 
 def moving(solid: trimesh.Trimesh) -> MovingMesh:

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from functools import cache
 
 from grabnet.errors import UserError
-from grabnet.geometry.isosurface import isosurface
 from grabnet.geometry.mesh import Mesh
 from grabnet.open.objects import basic, household, kitchen, tools, toys
+from grabnet.open.objects.isosurface import isosurface
 from grabnet.open.objects.prop import Prop, Region
 
 OBJECTS: dict[str, Callable[[], Prop]] = dict(

@@ -11,11 +11,10 @@ from typing import Any
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from grabnet.errors import UserError
-from grabnet.geometry import isosurface
 from grabnet.geometry.mesh import save_mesh
 from grabnet.io.files import sha256, write_json
 from grabnet.io.provenance import provenance
-from grabnet.open.objects import OBJECTS, build_object
+from grabnet.open.objects import OBJECTS, build_object, isosurface
 
 MESHES = Path("tools/object_meshes/contact_meshes")
 PROVENANCE = Path("tools/object_meshes/open_objects.json")

@@ -7,7 +7,7 @@ cannot be told that points do not depend on each other: on a CPU sixteen points 
 
 import warp as wp
 
-import grabnet.geometry.warping  # noqa: F401  (starts warp)
+import grabnet.geometry.kernels.launch  # noqa: F401  (starts warp)
 
 wp.set_module_options({"enable_backward": False})
 

@@ -8,7 +8,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from grabnet.geometry.isosurface import isosurface
+from grabnet.open.objects.isosurface import isosurface
 from grabnet.open.objects.primitives import box, capsule, cylinder, sphere, torus
 from grabnet.open.objects.solid import Solid
 

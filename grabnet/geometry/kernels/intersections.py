@@ -6,7 +6,7 @@ from the same vertices in the same order, whichever pair of faces asks, so that 
 
 import warp as wp
 
-import grabnet.geometry.warping  # noqa: F401  (starts warp)
+import grabnet.geometry.kernels.launch  # noqa: F401  (starts warp)
 
 wp.set_module_options({"enable_backward": False})
 

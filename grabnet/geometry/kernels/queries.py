@@ -2,7 +2,7 @@
 
 import warp as wp
 
-import grabnet.geometry.warping  # noqa: F401  (starts warp)
+import grabnet.geometry.kernels.launch  # noqa: F401  (starts warp)
 
 wp.set_module_options({"enable_backward": False})
 
