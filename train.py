@@ -8,7 +8,7 @@ from grabnet.cli.entry import hydra_entry
 
 @hydra_entry("train")
 def main(cfg: DictConfig) -> float:
-    from grabnet.training_run import train  # slow to import: a mistyped command should not wait for it
+    from grabnet.training.run import train  # slow to import: a mistyped command should not wait for it
 
     cfg.run_dir = HydraConfig.get().runtime.output_dir
     return train(cfg)[cfg.objective]

@@ -18,8 +18,8 @@ from grabnet.data.datamodule import GraspDataModule
 from grabnet.geometry.nearest import nearest_point, nearest_point_distance
 from grabnet.geometry.rotations import matrix_to_six_d
 from grabnet.losses.terms import hand_to_object_l1, object_to_hand_l1, vertex_l1
-from grabnet.models.acceleration import compile_blocks, set_matmul_precision
-from grabnet.models.training import CoarseNetTraining, GraspTraining
+from grabnet.training.acceleration import compile_blocks, set_matmul_precision
+from grabnet.training.modules import CoarseNetTraining, GraspTraining
 
 # All samples of an object, as the published loss compares them.
 N_PUBLISHED = 2048

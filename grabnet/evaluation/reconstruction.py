@@ -19,7 +19,7 @@ from grabnet.data.batches import GraspBatch
 from grabnet.data.datamodule import SPLITS, GraspDataModule
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet
-from grabnet.models.training import reconstructed, reconstruction_errors, refined
+from grabnet.training.modules import reconstructed, reconstruction_errors, refined
 
 
 class Errors(NamedTuple):

@@ -7,8 +7,8 @@ from statistics import median
 
 import lightning as L
 
-from grabnet.history import Epoch, History, best_epoch, read_history
 from grabnet.sweeps.runs import Pruned
+from grabnet.training.history import Epoch, History, best_epoch, read_history
 
 
 class MedianPruning(L.Callback):

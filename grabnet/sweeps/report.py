@@ -13,9 +13,9 @@ from matplotlib.ticker import MaxNLocator
 from rich.console import Console
 from rich.table import Table
 
-from grabnet.history import best_epoch, read_history
 from grabnet.io.files import replacing
 from grabnet.sweeps.runs import DONE, FAILED, PRUNED, UNFINISHED, Run
+from grabnet.training.history import best_epoch, read_history
 
 COLOURS = {DONE: "tab:blue", PRUNED: "tab:orange", FAILED: "tab:red", UNFINISHED: "tab:gray"}
 

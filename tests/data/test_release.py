@@ -11,14 +11,14 @@ from grabnet.body.hand import OPEN_HANDS, HandModel
 from grabnet.cli.entry import compose
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.data.frames import FramesStore
-from grabnet.data.noise import StoredNoise
 from grabnet.data.objects import OBJECT_MESHES, object_files
 from grabnet.data.release import GrabnetRelease, read_frame_names
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.io.npz import read_npz
-from grabnet.training_run import train
+from grabnet.training.noise import StoredNoise
+from grabnet.training.run import train
 from tests.tiny import tiny_overrides
 
 # (subject, sequence, frame) of each split, not in order.

@@ -24,7 +24,7 @@ from grabnet.data.frames import FramesStore, shard_names, write_shard
 from grabnet.data.sequences import read_sequence, write_sequence
 from grabnet.errors import UserError
 from grabnet.io.npz import read_npz
-from grabnet.training_run import train
+from grabnet.training.run import train
 from tests.data.test_frames import shard_values
 from tests.faults import DiesPublishing
 from tests.preprocess.tiny_grab import (

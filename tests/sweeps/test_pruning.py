@@ -7,11 +7,11 @@ import math
 import pytest
 
 from grabnet.cli.entry import compose
-from grabnet.history import HISTORY
 from grabnet.io.files import write_json
 from grabnet.sweeps.pruning import MedianPruning
 from grabnet.sweeps.runs import Pruned
-from grabnet.training_run import train
+from grabnet.training.history import HISTORY
+from grabnet.training.run import train
 from tests.tiny import tiny_overrides
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import csv
 
-from grabnet.history import HISTORY
 from grabnet.io.files import write_json
 from grabnet.sweeps.report import report
 from grabnet.sweeps.runs import Run
+from grabnet.training.history import HISTORY
 
 
 def test_runs_of_a_space_that_was_changed_stand_in_one_table(tmp_path):

@@ -13,9 +13,9 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 from PIL import Image
 
-from grabnet.history import HISTORY, read_history
 from grabnet.io.files import write_json
 from grabnet.sweeps.runs import Run, folder_name
+from grabnet.training.history import HISTORY, read_history
 from hydra_plugins.grabnet_search import STUDY
 from tests.faults import DiesPublishing
 from tests.processes import finish

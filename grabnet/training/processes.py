@@ -44,7 +44,7 @@ class OwnProcesses(LightningEnvironment):
     def start(self, n: int, config: Path) -> list[subprocess.Popen]:
         """Start the n - 1 others on the run that `config` describes. They print nothing but errors."""
         shared = os.environ | {"MASTER_ADDR": self.main_address, "MASTER_PORT": str(self.main_port)}
-        command = [sys.executable, "-m", "grabnet.training_run", str(config)]
+        command = [sys.executable, "-m", "grabnet.training.run", str(config)]
         return [
             subprocess.Popen(command, env=shared | {"LOCAL_RANK": str(rank)}, stdout=subprocess.DEVNULL)
             for rank in range(1, n)

@@ -15,14 +15,14 @@ from hydra.errors import InstantiationException
 from grabnet.cli.entry import compose
 from grabnet.errors import UserError
 from grabnet.geometry.bps import BPS
-from grabnet.history import read_history
 from grabnet.io.files import sha256
-from grabnet.models.checkpoints import newest_whole, read_checkpoint
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet
 from grabnet.models.trained import find_network
 from grabnet.models.weights import load_coarsenet, load_refinenet, read_provenance, save_network
-from grabnet.training_run import train
+from grabnet.training.checkpoints import newest_whole, read_checkpoint
+from grabnet.training.history import read_history
+from grabnet.training.run import train
 from tests.faults import DiesAtStep, DiesPublishing, DiskIsFullAt
 from tests.processes import finish
 from tests.tiny import tiny_overrides
@@ -199,7 +199,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(tiny_dataset, tmp_path
     assert read_checkpoint(last)["epoch"] == 2 and read_checkpoint(previous)["epoch"] == 1
     last.write_bytes(last.read_bytes()[:-100])
     train(compose("train", overrides))
-    told = [r.message for r in caplog.records if r.name == "grabnet.models.checkpoints"]
+    told = [r.message for r in caplog.records if r.name == "grabnet.training.checkpoints"]
     assert told == [f"{last} is damaged: going on from last.previous.ckpt, the one before."]
     assert read_checkpoint(last)["epoch"] == 2
     last.write_bytes(b"")

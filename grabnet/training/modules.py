@@ -21,9 +21,9 @@ from grabnet.io.files import sha256
 from grabnet.losses.grasp import CoarseNetLoss, RefineNetLoss
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet
-from grabnet.models.sources import CoarseNetGuesses
 from grabnet.models.trained import check_hand, find_network
 from grabnet.models.weights import load_coarsenet, load_refinenet
+from grabnet.training.refine_inputs import CoarseNetGuesses
 
 MakeOptimizer = Callable[[Iterable[nn.Parameter]], torch.optim.Optimizer]
 MakeScheduler = Callable[[torch.optim.Optimizer], Any]

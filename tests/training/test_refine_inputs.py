@@ -5,12 +5,12 @@ import roma
 import torch
 
 from grabnet.data.datamodule import GraspDataModule
-from grabnet.data.noise import PoseNoise
 from grabnet.errors import UserError
 from grabnet.geometry.bps import BPS
 from grabnet.models.coarsenet import CoarseNet
-from grabnet.models.sources import CoarseNetGuesses
 from grabnet.models.weights import save_network
+from grabnet.training.noise import PoseNoise
+from grabnet.training.refine_inputs import CoarseNetGuesses
 
 
 @pytest.fixture(scope="module")

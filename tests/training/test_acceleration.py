@@ -5,8 +5,8 @@ import torch
 from torch import nn
 
 from grabnet.errors import UserError
-from grabnet.models.acceleration import compile_blocks, denormals_flushed, set_matmul_precision
 from grabnet.models.layers import ResidualBlock
+from grabnet.training.acceleration import compile_blocks, denormals_flushed, set_matmul_precision
 
 
 def test_compiled_blocks_give_the_same_under_the_same_names():

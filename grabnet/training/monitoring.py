@@ -18,7 +18,7 @@ from grabnet.data.batches import GraspBatch
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.errors import UserError
 from grabnet.grasps import Contacts
-from grabnet.models.training import GraspTraining
+from grabnet.training.modules import GraspTraining
 from grabnet.visual.grasp_sheet import both_sides
 from grabnet.visual.pictures import SKIN, Shape, can_render, contact_sheet, save_image
 

@@ -1,6 +1,6 @@
 """One training run from config to weights: what `train.py` does.
 
-`python -m grabnet.training_run <config.yaml>` takes part in a run that another process has begun.
+`python -m grabnet.training.run <config.yaml>` takes part in a run that another process has begun.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from omegaconf import DictConfig, OmegaConf
 from grabnet.cli.entry import fail
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.errors import UserError
-from grabnet.history import History, best_epoch
 from grabnet.io.files import DISK_ERRORS, replacing, sha256, write_json
 from grabnet.io.provenance import provenance
 from grabnet.io.recipes import difference
-from grabnet.models.acceleration import compile_blocks, denormals_flushed, set_matmul_precision
-from grabnet.models.checkpoints import BEST, AtomicCheckpointIO, newest_whole, read_checkpoint
-from grabnet.models.training import GraspTraining
 from grabnet.models.weights import FILE_NAME, save_network
-from grabnet.processes import OwnProcesses, started_from_outside, together
 from grabnet.sweeps.runs import METRICS, Pruned
+from grabnet.training.acceleration import compile_blocks, denormals_flushed, set_matmul_precision
+from grabnet.training.checkpoints import BEST, AtomicCheckpointIO, newest_whole, read_checkpoint
+from grabnet.training.history import History, best_epoch
+from grabnet.training.modules import GraspTraining
+from grabnet.training.processes import OwnProcesses, started_from_outside, together
 
 log = logging.getLogger(__name__)
 

@@ -10,8 +10,8 @@ from safetensors.torch import load_file
 
 from grabnet.cli.entry import compose
 from grabnet.errors import UserError
-from grabnet.models.checkpoints import BEST, LAST, PREVIOUS
-from grabnet.training_run import train
+from grabnet.training.checkpoints import BEST, LAST, PREVIOUS
+from grabnet.training.run import train
 from tests.conftest import write_tiny_dataset
 from tests.processes import start
 from tests.tiny import tiny_overrides
