@@ -13,6 +13,6 @@ __all__ = ["Grabber"]
 def __getattr__(name: str) -> Any:
     if name != "Grabber":
         raise AttributeError(f"module 'grabnet' has no attribute {name!r}")
-    from grabnet.models.grabber import Grabber  # only when wanted: it takes seconds to import
+    from grabnet.generation.grabber import Grabber  # only when wanted: it takes seconds to import
 
     return Grabber

@@ -15,7 +15,7 @@ PATHS = ("mesh", "output", "format", "coarsenet", "refinenet", "runs", "hand_mod
 
 @hydra_entry("sample")
 def main(cfg: DictConfig) -> None:
-    from grabnet.sampling import sample
+    from grabnet.generation.run import sample
 
     if sample(instantiate(cfg, _convert_="all")):
         sys.exit(2)

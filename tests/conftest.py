@@ -11,11 +11,11 @@ import trimesh
 from grabnet.body.hand import HandModel
 from grabnet.data.frames import finish_store, write_shard
 from grabnet.data.objects import OBJECT_MESHES
+from grabnet.generation.grabber import Grabber
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.rotations import matrix_to_six_d
 from grabnet.io.files import replacing
 from grabnet.models.coarsenet import CoarseNet
-from grabnet.models.grabber import Grabber
 from grabnet.models.refinenet import RefineNet
 
 TINY_OBJECTS = {

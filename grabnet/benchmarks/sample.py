@@ -11,10 +11,10 @@ from grabnet.benchmarks.run import Benchmark
 from grabnet.benchmarks.scene import meshes
 from grabnet.benchmarks.timing import Case
 from grabnet.body.hand import HandModel
+from grabnet.generation.grabber import Grabber
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.rotations import random_rotations
 from grabnet.models.coarsenet import CoarseNet
-from grabnet.models.grabber import Grabber
 from grabnet.models.refinenet import RefineNet
 
 N_GRASPS = 1000

@@ -25,12 +25,12 @@ from grabnet.data.objects import MESH_SUFFIXES
 from grabnet.errors import UserError
 from grabnet.evaluation.cache import Cache
 from grabnet.evaluation.hands import Hands
+from grabnet.generation.grabber import Grabber
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.geometry.openings import boundary_loops
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.io.files import existing, sha256
 from grabnet.io.npz import read_npz
-from grabnet.models.grabber import Grabber
 
 GRASPS = "grasps.npz"
 _PARAMETERS = {"global_orient": 3, "hand_pose": 45, "transl": 3}

@@ -18,10 +18,10 @@ from grabnet.evaluation.cache import Cache
 from grabnet.evaluation.ground_truth import recorded_hands
 from grabnet.evaluation.hands import HandLabels, Hands
 from grabnet.evaluation.settings import Evaluation
+from grabnet.generation.grabber import Grabber
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.io.cache import default_cache
 from grabnet.io.files import sha256
-from grabnet.models.grabber import Grabber
 from grabnet.models.trained import check_hand, find_pair
 from grabnet.models.weights import load_coarsenet, load_refinenet, weights_file
 

@@ -7,7 +7,7 @@ import torch
 
 from grabnet.evaluation.metrics import Metric
 from grabnet.evaluation.scene import Scene
-from grabnet.grasps import DEFINITIONS, Contacts
+from grabnet.generation.grasps import DEFINITIONS, Contacts
 
 
 class Penetration:

@@ -17,9 +17,9 @@ from grabnet.body.anatomy import Anatomy
 from grabnet.data.batches import GraspBatch
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.errors import UserError
-from grabnet.grasps import Contacts
+from grabnet.generation.gallery import both_sides
+from grabnet.generation.grasps import Contacts
 from grabnet.training.modules import GraspTraining
-from grabnet.visual.grasp_sheet import both_sides
 from grabnet.visual.pictures import SKIN, Shape, can_render, contact_sheet, save_image
 
 log = logging.getLogger(__name__)

@@ -20,10 +20,10 @@ from grabnet.cli.entry import compose
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.errors import UserError
 from grabnet.evaluation.run import evaluate
+from grabnet.generation.grabber import Grabber
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.rotations import matrix_to_axis_angle
 from grabnet.io.files import sha256
-from grabnet.models.grabber import Grabber
 from grabnet.models.weights import save_network
 
 

@@ -5,8 +5,8 @@ import torch
 from safetensors.torch import save
 
 from grabnet.errors import UserError
+from grabnet.generation.grabber import Grabber
 from grabnet.io.files import sha256
-from grabnet.models.grabber import Grabber
 from grabnet.models.trained import OPEN_GRABBER, check_hand, find_network, find_pair
 from grabnet.models.weights import FILE_NAME, save_network
 

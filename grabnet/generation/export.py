@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from grabnet.generation.gallery import grasp_sheet
+from grabnet.generation.grasps import Grasps
+from grabnet.generation.viewer import write_viewer
 from grabnet.geometry.mesh import Mesh, save_mesh
 from grabnet.geometry.rotations import matrix_to_axis_angle
-from grabnet.grasps import Grasps
 from grabnet.io.files import write_json
-from grabnet.visual.grasp_sheet import grasp_sheet
 from grabnet.visual.pictures import OBJECT, SKIN, save_image
-from grabnet.visual.viewer import write_viewer
 
 
 def result_folders(meshes: Sequence[Path], output: Path) -> dict[Path, Path]:

@@ -13,10 +13,10 @@ from omegaconf import OmegaConf
 
 from grabnet.cli.entry import CONFIGS
 from grabnet.errors import UserError
+from grabnet.generation.run import Sampling, sample
 from grabnet.io.files import sha256
 from grabnet.io.npz import read_npz
 from grabnet.models.weights import save_network
-from grabnet.sampling import Sampling, sample
 
 SCRIPT = CONFIGS.parent / "scripts" / "sample.py"
 

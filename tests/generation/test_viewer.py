@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from grabnet.generation.viewer import write_viewer
 from grabnet.geometry.mesh import Mesh
-from grabnet.visual.viewer import write_viewer
 
 from .browser import EXECUTABLE, Browser
 

@@ -12,12 +12,12 @@ from torch import Tensor, nn
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.errors import UserError
+from grabnet.generation.grasps import Grasps
 from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.mesh import Mesh, file_to_object, load_mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.rotations import about_z
 from grabnet.geometry.sdf_grid import SDFGrid
-from grabnet.grasps import Grasps
 from grabnet.io.files import existing
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet

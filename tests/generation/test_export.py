@@ -8,10 +8,10 @@ import trimesh
 from PIL import Image
 
 from grabnet.body.hand import OPEN_HANDS, HandModel, HandParameters
-from grabnet.export import FORMATS, result_folders, write_grasps
+from grabnet.generation.export import FORMATS, result_folders, write_grasps
+from grabnet.generation.grasps import Grasps
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
-from grabnet.grasps import Grasps
 from grabnet.io.npz import read_npz
 from grabnet.visual.pictures import can_render
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from grabnet.body.anatomy import FINGERS
 from grabnet.body.hand import HandParameters
+from grabnet.generation.grasps import Grasps
 from grabnet.geometry.mesh import Mesh
-from grabnet.grasps import Grasps
 
 
 def made_of(distances: torch.Tensor, finger: torch.Tensor, to_object: np.ndarray | None = None) -> Grasps:

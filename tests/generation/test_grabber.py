@@ -11,8 +11,8 @@ import grabnet
 from grabnet.body.anatomy import FINGERS
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
+from grabnet.generation.grabber import Grabber
 from grabnet.geometry.mesh import Mesh
-from grabnet.models.grabber import Grabber
 from grabnet.models.trained import OPEN_GRABBER
 from grabnet.models.weights import FILE_NAME, read_provenance, save_network
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from grabnet.grasps import Grasps
+from grabnet.generation.grasps import Grasps
 from grabnet.io.files import replacing
 from grabnet.visual.pictures import OBJECT, SKIN
 

@@ -13,12 +13,12 @@ import torch
 from grabnet.body.hand import HandModel
 from grabnet.data.objects import MESH_SUFFIXES
 from grabnet.errors import UserError
-from grabnet.export import FORMATS, result_folders, write_grasps
+from grabnet.generation.export import FORMATS, result_folders, write_grasps
+from grabnet.generation.grabber import ORIENTATIONS, SIDES, Grabber
+from grabnet.generation.grasps import DEFINITIONS
 from grabnet.geometry.mesh import check_size, file_to_object, load_mesh
-from grabnet.grasps import DEFINITIONS
 from grabnet.io.files import existing, sha256
 from grabnet.io.provenance import provenance
-from grabnet.models.grabber import ORIENTATIONS, SIDES, Grabber
 from grabnet.models.trained import check_hand, find_pair
 from grabnet.models.weights import load_coarsenet, load_refinenet
 from grabnet.visual.pictures import can_render

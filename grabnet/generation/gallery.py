@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from grabnet.body.anatomy import FINGERS
-from grabnet.grasps import Grasps
+from grabnet.generation.grasps import Grasps
 from grabnet.visual.pictures import OBJECT, SKIN, Shape, contact_sheet, render_views
 
 
