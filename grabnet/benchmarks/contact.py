@@ -12,9 +12,9 @@ from grabnet.benchmarks.run import Benchmark
 from grabnet.benchmarks.scene import hands, meshes
 from grabnet.benchmarks.timing import Case
 from grabnet.body.anatomy import Anatomy
+from grabnet.contact.annotator import ContactAnnotator
 from grabnet.geometry.mesh import Mesh
 from grabnet.preprocess.backends import machine_cores
-from grabnet.preprocess.contact import ContactAnnotator
 
 EPSILON = 0.0045
 # Metres by which the fingertip that touches first is sunk into the object.

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from grabnet.contact.annotator import ContactAnnotator
 from grabnet.evaluation.hands import HandLabels, Hands
 from grabnet.evaluation.scene import Scene
 from grabnet.geometry.mesh import Mesh
 from grabnet.io.files import replacing, write_bytes
-from grabnet.preprocess.contact import ContactAnnotator
 from grabnet.visual.pictures import OBJECT, SKIN
 
 TOUCHED = (0.86, 0.2, 0.15)

@@ -16,12 +16,12 @@ import numpy as np
 import torch
 
 from grabnet.body.whole import BodyModel
+from grabnet.contact.sequences import annotate
 from grabnet.data.frames import write_shard
 from grabnet.data.sequences import Sequence, load_below, read_sequence
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.io.files import DISK_ERRORS, existing, sha256
-from grabnet.preprocess.annotation import annotate
 from grabnet.preprocess.backends import Outcome
 from grabnet.preprocess.filtering import FrameFilter, frames_left
 from grabnet.preprocess.grasp_track import GraspTrack

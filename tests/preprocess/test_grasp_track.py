@@ -10,8 +10,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from grabnet.body.hand import HandModel
+from grabnet.contact.annotator import ContactAnnotator
 from grabnet.geometry.mesh import Mesh
-from grabnet.preprocess.contact import ContactAnnotator
 from grabnet.preprocess.grasp_track import GraspTrack, mirror_image
 from grabnet.preprocess.heights import gap_to_table
 from tests.data.grab import random_sequence

@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 from grabnet.body.hand import OPEN_HANDS, HandModel, HandParameters
 from grabnet.body.whole import BodyModel
 from grabnet.cli.entry import compose
+from grabnet.contact.sequences import annotate
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import Sequence, write_sequence
 from grabnet.geometry.mesh import Mesh, save_mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
-from grabnet.preprocess.annotation import annotate
 from tests.body.conftest import BODY_PARENTS
 from tests.data.grab import random_sequence
 

@@ -8,6 +8,7 @@ import torch
 
 from grabnet.body.hand import HandModel
 from grabnet.body.whole import OPEN_BODY, BodyModel
+from grabnet.contact.annotator import vertex_parts
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import load_below, read_sequence
 from grabnet.errors import UserError
@@ -20,7 +21,6 @@ from grabnet.open.objects import build_object
 from grabnet.open.sequences.building import TWO_HANDED, Entry, build_sequences, record, schedule
 from grabnet.open.sequences.uses import USES
 from grabnet.open.sequences.writing import write_table
-from grabnet.preprocess.contact import vertex_parts
 from grabnet.preprocess.filtering import LEFT_HAND, RIGHT_HAND, FrameFilter
 from grabnet.preprocess.grasp_track import GraspTrack
 

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from grabnet.body.hand import HandModel
 from grabnet.body.whole import BodyModel
+from grabnet.contact.sequences import annotate
 from grabnet.geometry.mesh import Mesh
-from grabnet.preprocess.annotation import annotate
 from grabnet.preprocess.statistics import agreement, overlap
 from tests.body.conftest import BODY_PARENTS
 from tests.data.grab import random_sequence

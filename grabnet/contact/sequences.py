@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 
 from grabnet.body.whole import BodyModel
+from grabnet.contact.annotator import ContactAnnotator, vertex_parts
 from grabnet.data.sequences import ContactTrack, Sequence
 from grabnet.geometry.mesh import Mesh
-from grabnet.preprocess.contact import ContactAnnotator, vertex_parts
 
 # Frames posed at once; a body has so many vertices that more would only take memory.
 _BATCH = 64

@@ -9,9 +9,9 @@ import trimesh
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
+from grabnet.contact.annotator import ContactAnnotator, vertex_parts
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
-from grabnet.preprocess.contact import ContactAnnotator, vertex_parts
 
 RADIUS = 0.008
 EPSILON = 0.0045
