@@ -12,7 +12,7 @@ from grabnet.cli.entry import compose
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.data.frames import FramesStore
 from grabnet.data.objects import OBJECT_MESHES, object_files
-from grabnet.data.release import GrabnetRelease, read_frame_names
+from grabnet.data.sources.grabnet_release import GrabnetRelease, read_frame_names
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
