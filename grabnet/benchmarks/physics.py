@@ -12,7 +12,7 @@ from omegaconf import OmegaConf
 from grabnet.benchmarks.run import Benchmark
 from grabnet.benchmarks.scene import hands, meshes
 from grabnet.benchmarks.timing import Case
-from grabnet.evaluation.physics import Simulator
+from grabnet.evaluation.protocols.drop_test import Simulator
 from grabnet.open.grasps.stability import StabilityConfig, cut
 from grabnet.physics.simulation import Simulation
 

@@ -7,8 +7,8 @@ import numpy as np
 from grabnet.errors import UserError
 from grabnet.evaluation.baseline import lookalike, transplanted
 from grabnet.evaluation.generated import drawn, read_grasps
-from grabnet.evaluation.ground_truth import ground_truth_row, recorded_hands
-from grabnet.evaluation.material import Material, Networks
+from grabnet.evaluation.inputs import Material, Networks
+from grabnet.evaluation.protocols.ground_truth import ground_truth_row, recorded_hands
 from grabnet.evaluation.summary import Row
 from grabnet.geometry.mesh import load_mesh
 

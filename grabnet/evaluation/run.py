@@ -14,24 +14,24 @@ import numpy as np
 import torch
 from hydra.utils import instantiate
 
-from grabnet.evaluation import diversity
-from grabnet.evaluation.contact_maps import ContactMaps, write_maps
-from grabnet.evaluation.fingers import FingerContact, vertex_areas
-from grabnet.evaluation.grasptta import GraspTTA
-from grabnet.evaluation.ground_truth import CLOSEST_MAP, ClosestHand, closest_map_error, same_sequence
-from grabnet.evaluation.halo import Halo
-from grabnet.evaluation.holding import Holding, reasons
-from grabnet.evaluation.material import Material, Networks
+from grabnet.evaluation.inputs import Material, Networks
 from grabnet.evaluation.measuring import Task, measured
 from grabnet.evaluation.metrics import Metric
-from grabnet.evaluation.penetration import Penetration
-from grabnet.evaluation.posture import Posture
-from grabnet.evaluation.reconstruction import Errors, reconstruction
-from grabnet.evaluation.report import Findings, write_report
+from grabnet.evaluation.protocols import diversity
+from grabnet.evaluation.protocols.contact import FingerContact, vertex_areas
+from grabnet.evaluation.protocols.contact_maps import ContactMaps, write_maps
+from grabnet.evaluation.protocols.grasptta import GraspTTA
+from grabnet.evaluation.protocols.ground_truth import CLOSEST_MAP, ClosestHand, closest_map_error, same_sequence
+from grabnet.evaluation.protocols.halo import Halo
+from grabnet.evaluation.protocols.holding import Holding, reasons
+from grabnet.evaluation.protocols.penetration import Penetration
+from grabnet.evaluation.protocols.posture import Posture
+from grabnet.evaluation.protocols.reconstruction import Errors, reconstruction
+from grabnet.evaluation.reporting.page import Findings, write_report
+from grabnet.evaluation.reporting.tables import write_csv, write_grasps_csv, write_json_tables, write_latex
 from grabnet.evaluation.rows import make_rows
 from grabnet.evaluation.settings import Evaluation
 from grabnet.evaluation.summary import Row, figures, surprises
-from grabnet.evaluation.tables import write_csv, write_grasps_csv, write_json_tables, write_latex
 from grabnet.io.files import sha256
 from grabnet.io.provenance import provenance
 from grabnet.models.weights import load_coarsenet, load_refinenet

@@ -10,9 +10,9 @@ import numpy as np
 
 from grabnet.evaluation.bootstrap import NOTHING, Estimate, mean, statistic
 from grabnet.evaluation.cache import Arrays
-from grabnet.evaluation.diversity import Clusters, entropy
 from grabnet.evaluation.hands import Hands
 from grabnet.evaluation.metrics import Metric
+from grabnet.evaluation.protocols.diversity import Clusters, entropy
 
 ALL = "all"
 # Of these protocols true hands, wherever they are put, are the measure, not what should come out worse or better.

@@ -5,8 +5,8 @@ import pytest
 
 from grabnet.evaluation.bootstrap import NOTHING, mean, statistic
 from grabnet.evaluation.metrics import Metric
+from grabnet.evaluation.reporting.tables import digits
 from grabnet.evaluation.summary import ALL, Row, figures, find, surprises
-from grabnet.evaluation.tables import digits
 
 DEPTH = Metric("penetration", "max", "mm", "depth", "lower")
 SHARE = Metric("halo", "contact", "%", "share", "higher", 2)

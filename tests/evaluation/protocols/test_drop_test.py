@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
-from grabnet.evaluation.physics import Outcome, PhysicsConfig, Simulator
+from grabnet.evaluation.protocols.drop_test import Outcome, PhysicsConfig, Simulator
 from grabnet.geometry.mesh import Mesh
 from grabnet.open.grasps.store import load_open_grasps
 from grabnet.open.objects import build_object

@@ -17,7 +17,7 @@ from joblib import Parallel, delayed
 
 from grabnet.body.hand import HandModel
 from grabnet.evaluation.metrics import Metric
-from grabnet.evaluation.physics import Outcome, PhysicsConfig, Simulator, engines
+from grabnet.evaluation.protocols.drop_test import Outcome, PhysicsConfig, Simulator, engines
 from grabnet.evaluation.scene import Scene
 from grabnet.geometry.mesh import Mesh
 from grabnet.io.files import sha256

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as Canvas
 
-from grabnet.evaluation.fingers import PARTS
 from grabnet.evaluation.metrics import Metric
+from grabnet.evaluation.protocols.contact import PARTS
 from grabnet.evaluation.summary import Figure, Row, find
 
 # Ground truth, baseline, networks, then what else there is.

@@ -13,20 +13,20 @@ from typing import Any
 import numpy as np
 
 from grabnet.data.datamodule import SPLITS
-from grabnet.evaluation import reported
 from grabnet.evaluation.cache import Cache
-from grabnet.evaluation.fingers import PARTS
 from grabnet.evaluation.metrics import Metric
-from grabnet.evaluation.plots import COLOURS, distributions, fingers, intervals
-from grabnet.evaluation.reconstruction import Errors
+from grabnet.evaluation.protocols.contact import PARTS
+from grabnet.evaluation.protocols.reconstruction import Errors
+from grabnet.evaluation.reporting import published as reported
+from grabnet.evaluation.reporting.plots import COLOURS, distributions, fingers, intervals
+from grabnet.evaluation.reporting.tables import digits, headlines
+from grabnet.evaluation.reporting.views import grasp_view, heat_view
 from grabnet.evaluation.summary import ALL, Figure, Row, find
-from grabnet.evaluation.tables import digits, headlines
-from grabnet.evaluation.views import grasp_view, heat_view
 from grabnet.geometry.mesh import Mesh
 from grabnet.io.files import replacing
 from grabnet.visual.pictures import can_render
 
-_TEMPLATE = Path(__file__).with_name("report.html")
+_TEMPLATE = Path(__file__).with_name("page.html")
 _ARROWS = {"lower": "↓", "higher": "↑", None: ""}
 
 

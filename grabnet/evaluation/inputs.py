@@ -15,8 +15,8 @@ from grabnet.data.frames import FramesStore
 from grabnet.data.objects import object_files
 from grabnet.errors import UserError
 from grabnet.evaluation.cache import Cache
-from grabnet.evaluation.ground_truth import recorded_hands
 from grabnet.evaluation.hands import HandLabels, Hands
+from grabnet.evaluation.protocols.ground_truth import recorded_hands
 from grabnet.evaluation.settings import Evaluation
 from grabnet.generation.grabber import Grabber
 from grabnet.geometry.mesh import Mesh, load_mesh

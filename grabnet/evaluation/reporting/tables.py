@@ -13,7 +13,7 @@ from grabnet.evaluation.summary import ALL, find
 from grabnet.io.files import replacing, write_json
 
 if TYPE_CHECKING:
-    from grabnet.evaluation.report import Findings
+    from grabnet.evaluation.reporting.page import Findings
 
 # What a paper's table of grasps shows, where it was measured.
 HEADLINES = (

@@ -8,8 +8,8 @@ import numpy as np
 from PIL import Image
 
 from grabnet.evaluation.cache import Cache
-from grabnet.evaluation.contact_maps import blended
 from grabnet.evaluation.hands import Hands
+from grabnet.evaluation.protocols.contact_maps import blended
 from grabnet.geometry.mesh import Mesh
 from grabnet.visual.pictures import OBJECT, SKIN, Shape, render
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from grabnet.evaluation.diversity import cluster, entropy, novelty, reached
+from grabnet.evaluation.protocols.diversity import cluster, entropy, novelty, reached
 
 
 def bunches(sizes: list[int], spread: float, seed: int = 0) -> np.ndarray:

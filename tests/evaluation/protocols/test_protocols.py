@@ -9,14 +9,14 @@ import trimesh
 
 from grabnet.body.anatomy import FINGERS
 from grabnet.body.hand import HandModel, HandParameters
-from grabnet.evaluation.contact_maps import ContactMaps
-from grabnet.evaluation.fingers import PARTS, FingerContact, vertex_areas
-from grabnet.evaluation.grasptta import GraspTTA
-from grabnet.evaluation.ground_truth import ClosestHand
-from grabnet.evaluation.halo import Halo
 from grabnet.evaluation.hands import HandLabels, Hands
-from grabnet.evaluation.penetration import Penetration
-from grabnet.evaluation.posture import Posture, joint_limits
+from grabnet.evaluation.protocols.contact import PARTS, FingerContact, vertex_areas
+from grabnet.evaluation.protocols.contact_maps import ContactMaps
+from grabnet.evaluation.protocols.grasptta import GraspTTA
+from grabnet.evaluation.protocols.ground_truth import ClosestHand
+from grabnet.evaluation.protocols.halo import Halo
+from grabnet.evaluation.protocols.penetration import Penetration
+from grabnet.evaluation.protocols.posture import Posture, joint_limits
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from tests.evaluation.shapes import ball, moved, scene

@@ -3,7 +3,8 @@ import pytest
 
 from grabnet.data.frames import FramesStore
 from grabnet.data.objects import OBJECT_MESHES
-from grabnet.evaluation.ground_truth import (
+from grabnet.evaluation.hands import Hands
+from grabnet.evaluation.protocols.ground_truth import (
     ClosestHand,
     closest_map_error,
     ground_truth_row,
@@ -11,7 +12,6 @@ from grabnet.evaluation.ground_truth import (
     recorded_hands,
     same_sequence,
 )
-from grabnet.evaluation.hands import Hands
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from tests.evaluation.shapes import ball, scene
