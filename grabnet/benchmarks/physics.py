@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import torch
 from hydra.utils import instantiate
@@ -13,10 +11,11 @@ from grabnet.benchmarks.run import Benchmark
 from grabnet.benchmarks.scene import hands, meshes
 from grabnet.benchmarks.timing import Case
 from grabnet.evaluation.protocols.drop_test import Simulator
+from grabnet.io.shipped import shipped
 from grabnet.open.grasps.stability import StabilityConfig, cut
 from grabnet.physics.simulation import Simulation
 
-CONFIG = Path(__file__).parents[2] / "configs" / "evaluation" / "physics.yaml"
+CONFIG = shipped("configs") / "evaluation" / "physics.yaml"
 
 
 def cases(settings: Benchmark) -> list[Case]:

@@ -18,7 +18,7 @@ from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet
 
 N_GRASPS = 1000
-# Surface samples that the plain way measures distances to (spec 2), and encodes the object by.
+# Surface samples that the plain way measures distances to (ref. 2), and encodes the object by.
 N_SAMPLES = 2048
 
 

@@ -12,7 +12,7 @@ from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.sdf_grid import AtlasConfig, SDFGrid
 
-# Points per object that the published training compares each hand vertex with (spec 2).
+# Points per object that the published training compares each hand vertex with (ref. 2).
 N_OBJECT_POINTS = 2048
 FULL = AtlasConfig()
 # Small enough for the plain way to build it, too.

@@ -10,8 +10,9 @@ from torch import Tensor
 
 from grabnet.body.loading import HAND_SHAPES
 from grabnet.body.skinned import SkinnedModel, blended
+from grabnet.io.shipped import shipped
 
-OPEN_HANDS = Path(__file__).parents[2] / "assets" / "open_hand"
+OPEN_HANDS = shipped("assets") / "open_hand"
 
 
 class HandParameters(NamedTuple):

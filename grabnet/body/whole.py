@@ -10,8 +10,9 @@ from torch import Tensor
 
 from grabnet.body.loading import BODY_SHAPES
 from grabnet.body.skinned import SkinnedModel, blended
+from grabnet.io.shipped import shipped
 
-OPEN_BODY = Path(__file__).parents[2] / "assets" / "open_body"
+OPEN_BODY = shipped("assets") / "open_body"
 N_BODY_JOINTS, N_HAND_JOINTS = 21, 15
 # Shape directions of a model file: with 400, the first 300 are of the body and the rest of the face; the older,
 # smaller files hold ten of each.

@@ -1,4 +1,4 @@
-"""Contact between body and object from their surfaces (paper 3.3, S.7; spec 4).
+"""Contact between body and object from their surfaces (paper 3.3, S.7; ref. 4).
 
 Tracked bodies reach into objects and stop short of them by millimetres. Where surfaces cut through each other, in
 rings, the object's vertices within the ring are touched (over-shooting); elsewhere what is near enough is
@@ -200,7 +200,7 @@ class ContactAnnotator:
 
 
 def vertex_parts(weights: np.ndarray) -> np.ndarray:
-    """(V, J) skinning weights of a whole body in SMPL-X's schema → (V,) uint8 contact labels, joint + 1 (spec 1)."""
+    """(V, J) skinning weights of a whole body in SMPL-X's schema → (V,) uint8 contact labels, joint + 1 (ref. 1)."""
     return (np.asarray(weights).argmax(1) + 1).astype(np.uint8)
 
 

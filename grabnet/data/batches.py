@@ -1,4 +1,4 @@
-"""Training batches, assembled on the device from the frames store: geometry is recomputed, never stored (design 3)."""
+"""Training batches, assembled on the device from the frames store: geometry is recomputed, never stored (ref. 14)."""
 
 from __future__ import annotations
 

@@ -34,13 +34,13 @@ class GraspDataModule(L.LightningDataModule):
         hand: the hand model that the frames' poses are for.
         root: of the data set, laid out as GRAB is; the frames store is its folder `frames`.
         objects_dir: folder with one mesh per object, `<name>.ply` (or .obj, .stl, …), in place of the data set's own.
-        val_objects, test_objects: names; every other object is for training (spec 3).
+        val_objects, test_objects: names; every other object is for training (ref. 3).
         batch_size: frames per step, of all processes together.
         min_steps: of an epoch: few frames are gone through as often as that takes.
         object_points: surface samples per object.
         near_points: of these, how many nearest to the hand enter the object→hand loss (published: all).
         measure: hand→object distances are signed, to the "surface"; or unsigned, to the nearest of the "samples".
-        contact_distance: metres within which a hand vertex counts as touching (spec 4).
+        contact_distance: metres within which a hand vertex counts as touching (ref. 4).
         turn: rotate training frames about the vertical at random.
         max_frames: use only so many training frames, evenly spaced; all when omitted.
         cache_dir: for signed-distance grids; the user's cache folder when omitted.

@@ -26,18 +26,18 @@ class ObjectSet(nn.Module):
     Args:
         names: of the objects.
         meshes: one each, metres, in the object's own frame.
-        n_points: surface points sampled per object (spec 2: 2048).
+        n_points: surface points sampled per object (ref. 2: 2048).
         seed: of the sampling.
         cache_dir: where signed-distance grids are kept; the user's cache folder when omitted.
         measure: what `distances` are: to the "surface", signed, by the atlas; or unsigned to the nearest of the
-            "samples", as published (spec 2), by brute force.
+            "samples", as published (ref. 2), by brute force.
 
     Raises:
         UserError: another `measure`.
 
     Attributes:
         names, meshes: as given.
-        centroids (O, 3): mean of the mesh vertices (spec 3), object frame.
+        centroids (O, 3): mean of the mesh vertices (ref. 3), object frame.
         points (O, n_points, 3): surface samples, object frame, relative to the centroid.
         atlas: signed distances.
     """

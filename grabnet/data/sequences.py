@@ -1,4 +1,4 @@
-"""GRAB's recordings: one `.npz` per sequence, read and written with every field checked (spec 1).
+"""GRAB's recordings: one `.npz` per sequence, read and written with every field checked (ref. 1).
 
 Frames are metres and radians, z up, 120 per second. Two traps of the format are dealt with here and nowhere else: the
 object's rotation acts on row vectors, and the exact hand pose is `fullpose`, while `hand_pose` approximates it.

@@ -14,7 +14,7 @@ from grabnet.body.hand import HandModel
 from grabnet.geometry.openings import close
 from grabnet.io.files import sha256
 
-# GRAB's numbers of the right and the left hand; those of fingers follow its joints (spec 1).
+# GRAB's numbers of the right and the left hand; those of fingers follow its joints (ref. 1).
 _WRIST_PART = {"right": 22, "left": 21}
 _FIRST_FINGER_PART = {"right": 41, "left": 26}
 

@@ -27,7 +27,7 @@ class Contacts:
     Attributes:
         distances: (N, V) metres from each hand vertex to the object's surface, negative inside.
         finger: (V,) index into `FINGERS`; -1 on palm and wrist.
-        contact_distance: metres, below which a vertex is in contact (spec 4).
+        contact_distance: metres, below which a vertex is in contact (ref. 4).
     """
 
     distances: Tensor

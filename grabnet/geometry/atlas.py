@@ -1,4 +1,4 @@
-"""Signed distance of many objects by table lookup: the step that makes training on the fly possible (design 3).
+"""Signed distance of many objects by table lookup: the step that makes training on the fly possible (ref. 14).
 
 Each object has two lattices of cubic voxels in boxes: a fine one close around it, where hands touch, and a coarse one
 wide enough for a BPS ball around the object in any rotation. All lattices of an atlas lie in one flat buffer.

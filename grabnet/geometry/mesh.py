@@ -42,7 +42,7 @@ class Mesh:
 
     @cached_property
     def centroid(self) -> np.ndarray:
-        """(3,) mean of the vertices: the origin of the frame grasps are learned in (spec 3)."""
+        """(3,) mean of the vertices: the origin of the frame grasps are learned in (ref. 3)."""
         return self.vertices.mean(0, dtype=np.float64).astype(np.float32)
 
     @property

@@ -22,7 +22,7 @@ def matrix_to_axis_angle(matrix: Tensor) -> Tensor:
 
 
 def six_d_to_matrix(six_d: Tensor) -> Tensor:
-    """(..., 6) → (..., 3, 3): the six numbers viewed as 3×2, Gram–Schmidt on its columns (spec 6).
+    """(..., 6) → (..., 3, 3): the six numbers viewed as 3×2, Gram–Schmidt on its columns (ref. 6).
 
     Columns that are zero or parallel have no Gram–Schmidt basis: there the result is no rotation, but it and its
     gradient stay finite (an untrained network does emit such numbers).

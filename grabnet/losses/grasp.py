@@ -1,4 +1,4 @@
-"""The two networks' losses: which terms, how weighted (spec 7)."""
+"""The two networks' losses: which terms, how weighted (ref. 7)."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class CoarseNetLoss(ReconstructionLoss):
 
 
 class RefineNetLoss(ReconstructionLoss):
-    """RefineNet's terms, × (1 − kl) as in CoarseNet's loss so that the two stay comparable (spec 7)."""
+    """RefineNet's terms, × (1 − kl) as in CoarseNet's loss so that the two stay comparable (ref. 7)."""
 
     def __init__(
         self,

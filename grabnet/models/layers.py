@@ -1,4 +1,4 @@
-"""The layers that both networks are made of (spec 6)."""
+"""The layers that both networks are made of (ref. 6)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Weights of the published GrabNet, whose layers have other names than ours (spec 6)."""
+"""Weights of the published GrabNet, whose layers have other names than ours (ref. 6)."""
 
 from __future__ import annotations
 

@@ -7,10 +7,11 @@ from pathlib import Path
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
 from grabnet.io.files import sha256
+from grabnet.io.shipped import shipped
 from grabnet.models.weights import FILE_NAME, network_kind, read_provenance, weights_file
 
 # Both networks, trained on the open data; see its README.
-OPEN_GRABBER = Path(__file__).parents[2] / "assets" / "open_grabber"
+OPEN_GRABBER = shipped("assets") / "open_grabber"
 
 
 def find_pair(

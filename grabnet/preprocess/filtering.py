@@ -1,4 +1,4 @@
-"""Which frames of a recording show a right hand grasping, by the paper's rules (S.9.1; spec 3)."""
+"""Which frames of a recording show a right hand grasping, by the paper's rules (S.9.1; ref. 3)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from grabnet.data.sequences import N_PARTS
 from grabnet.errors import UserError
 from grabnet.preprocess.grasp_track import GraspTrack
 
-# Contact labels (spec 1): of each finger's three phalanges, and of the hand with them.
+# Contact labels (ref. 1): of each finger's three phalanges, and of the hand with them.
 RIGHT_FINGERS = {
     "index": (41, 42, 43),
     "middle": (44, 45, 46),

@@ -12,7 +12,7 @@ from grabnet.data.sequences import N_PARTS, HandTrack, RigidTrack, Sequence
 from grabnet.data.splits import MIRRORED
 from grabnet.geometry.mesh import Mesh
 
-# Contact labels (spec 1) of the parts that come in pairs, left and right: joints of SMPL-X, counted from one.
+# Contact labels (ref. 1) of the parts that come in pairs, left and right: joints of SMPL-X, counted from one.
 _LEFT = (2, 5, 8, 11, 14, 17, 19, 21, 24, *range(26, 41))
 _RIGHT = (3, 6, 9, 12, 15, 18, 20, 22, 25, *range(41, 56))
 _OPPOSITE = np.arange(N_PARTS + 1, dtype=np.uint8)
@@ -77,7 +77,7 @@ class GraspTrack:
         return len(self.labels)
 
     def frames(self, chosen: np.ndarray, centroid: np.ndarray) -> dict[str, Tensor]:
-        """Hand and object in chosen frames about the object's centroid, heading kept (spec 3), for `write_shard`.
+        """Hand and object in chosen frames about the object's centroid, heading kept (ref. 3), for `write_shard`.
 
         Args:
             chosen: (N,) frame numbers.

@@ -10,7 +10,7 @@ from grabnet.data.sequences import N_PARTS, Sequence
 from grabnet.preprocess.filtering import LEFT_HAND, PALM, RIGHT_HAND, part_counts, touching
 
 HEAD = (13, 16, 23, 24, 25)  # neck, head, jaw and eyes
-# The paper's contact frames (supplement; spec 8): the object so far from its first height, so many body vertices in
+# The paper's contact frames (supplement; ref. 8): the object so far from its first height, so many body vertices in
 # contact.
 _LIFTED, _BODY_VERTICES = 0.005, 50
 

@@ -277,7 +277,7 @@ def refined(network: RefineNet, guess: HandParameters, batch: GraspBatch) -> Han
 
 
 def reconstruction_errors(vertices: Tensor, true: Tensor) -> dict[str, Tensor]:
-    """Of each hand (B,), in mm (spec 9): `v2v`, the mean Euclidean distance of its vertices (B, V, 3), and `v2v_mae`,
+    """Of each hand (B,), in mm (ref. 9): `v2v`, the mean Euclidean distance of its vertices (B, V, 3), and `v2v_mae`,
     the mean |Δ| per coordinate (what the released evaluation averages)."""
     difference = vertices - true
     return {"v2v": 1000 * difference.norm(dim=-1).mean(-1), "v2v_mae": 1000 * difference.abs().mean((-2, -1))}

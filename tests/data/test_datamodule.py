@@ -43,7 +43,7 @@ def test_distances_are_those_to_the_mesh(data, tiny_dataset):
     for k in range(len(index)):
         mesh = load_mesh(tiny_dataset / OBJECT_MESHES / f"{data.store.objects[frames.object[k]]}.ply")
         rotation = Rotation.from_rotvec(frames.object_orient[k].numpy())
-        # The frame's world is centred on the mean of the object's turned vertices (spec 3).
+        # The frame's world is centred on the mean of the object's turned vertices (ref. 3).
         world = rotation.inv().apply(batch.vertices[k].numpy()) + mesh.vertices.mean(0)
         exact = MeshQuery(mesh).signed_distance(torch.as_tensor(world, dtype=torch.float32))
         assert (batch.distances[k] - exact).abs().mean() < 2e-4

@@ -1,4 +1,4 @@
-"""Networks: sizes and wiring as in spec 6, gradients that stay finite, weights that survive the disk."""
+"""Networks: sizes and wiring as in ref. 6, gradients that stay finite, weights that survive the disk."""
 
 import pytest
 import torch

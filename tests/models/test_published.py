@@ -69,7 +69,7 @@ def refinenet_state() -> dict[str, torch.Tensor]:
 
 
 class Formulas:
-    """The networks in eval mode as spec 6 writes them, on plain tensors of the published names."""
+    """The networks in eval mode as ref. 6 writes them, on plain tensors of the published names."""
 
     def __init__(self, state: dict[str, torch.Tensor]):
         self.state = {k: v.double() for k, v in state.items()}

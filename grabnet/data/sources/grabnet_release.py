@@ -1,4 +1,4 @@
-"""The published GrabNet training data (spec 2) as a frames store: what it stores per frame, we recompute."""
+"""The published GrabNet training data (ref. 2) as a frames store: what it stores per frame, we recompute."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ class FingerContact:
 
     Args:
         labels: of the hand model.
-        distance: metres (spec 4: 4.5 mm).
+        distance: metres (ref. 4: 4.5 mm).
     """
 
     name = "contact"

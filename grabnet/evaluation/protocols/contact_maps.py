@@ -21,11 +21,11 @@ class ContactMaps:
     """Which vertices of object and hand touch.
 
     object: (N, V of the object) uint8, the part of the hand that touches each vertex, 0 for none. hand: (N, V) uint8,
-    the own part of each touching vertex, 0 for the others. Parts are numbered as in GRAB (spec 1).
+    the own part of each touching vertex, 0 for the others. Parts are numbered as in GRAB (ref. 1).
 
     Args:
         labels: of the hand model; hands of other vertices count as one part.
-        distance: ε, metres (spec 4: 4.5 mm).
+        distance: ε, metres (ref. 4: 4.5 mm).
     """
 
     name = "maps"

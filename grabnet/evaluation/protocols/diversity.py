@@ -38,7 +38,7 @@ class Clusters(NamedTuple):
 
 
 def cluster(keypoints: np.ndarray, seed: int, k: int = N_CLUSTERS) -> Clusters | None:
-    """k-means of hands, all objects together (spec 9, `diversity`).
+    """k-means of hands, all objects together (ref. 9, `diversity`).
 
     Args:
         keypoints: (N, 21, 3) metres in each hand's own frame, as `HandLabels.keypoints` gives them; in cm they are the

@@ -108,7 +108,7 @@ class Simulator:
         self.pieces = hand_pieces(hand.weights.cpu().numpy(), hand.v_template.cpu().numpy())
 
     def grasptta(self, vertices: np.ndarray, up: ArrayLike = (0.0, 0.0, 1.0)) -> list[Outcome]:
-        """Let go for 35 steps of 1/240 s (Jiang et al. 2021; spec 9).
+        """Let go for 35 steps of 1/240 s (Jiang et al. 2021; ref. 9).
 
         Args:
             vertices: (B, V, 3) metres, in the frame of the object's mesh.

@@ -1,4 +1,4 @@
-"""Protocol `grasptta` (Jiang et al. 2021; spec 9): coarse volume, and contact within 5 mm.
+"""Protocol `grasptta` (Jiang et al. 2021; ref. 9): coarse volume, and contact within 5 mm.
 
 Its third number, how far the object moves in simulation, is `physics`'s.
 """

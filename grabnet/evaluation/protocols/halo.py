@@ -1,4 +1,4 @@
-"""Protocol `halo` (Karunratanakul et al. 2021; spec 9): volume, depth and contact of closed hands with the object."""
+"""Protocol `halo` (Karunratanakul et al. 2021; ref. 9): volume, depth and contact of closed hands with the object."""
 
 from __future__ import annotations
 

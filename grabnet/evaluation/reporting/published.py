@@ -1,4 +1,4 @@
-"""What others have reported, to stand beside: on other data and often by other protocols, so rough marks only (spec 8,
+"""What others have reported, to stand beside: on other data and often by other protocols, so rough marks only (ref. 8,
 9)."""
 
 # mm per coordinate (v2v_mae), train, val, test, on GRAB: the paper, 5.1.

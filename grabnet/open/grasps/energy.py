@@ -17,7 +17,7 @@ from grabnet.open.grasps.templates import regularity
 
 @dataclass(frozen=True)
 class EnergyConfig:
-    """Weights (design 6), and lengths in millimetres."""
+    """Weights (ref. 15), and lengths in millimetres."""
 
     contact: float = 1.0  # per mm of a pad's distance
     contact_target: float = -0.6  # pads sink in a little: skin yields

@@ -18,7 +18,7 @@ from grabnet.open.grasps.scene import Scene
 
 @dataclass(frozen=True)
 class OptimiserConfig:
-    """Adam's settings and what is ramped during a run (design 6)."""
+    """Adam's settings and what is ramped during a run (ref. 15)."""
 
     iterations: int = 70
     wrist_rate: float = 0.0025  # metres

@@ -19,11 +19,12 @@ from grabnet.errors import UserError
 from grabnet.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from grabnet.io.files import existing, sha256, write_bytes, write_json
 from grabnet.io.provenance import provenance
+from grabnet.io.shipped import shipped
 
 if TYPE_CHECKING:
     from grabnet.open.grasps.synthesise import ObjectGrasps, SynthesisConfig
 
-OPEN_GRASPS = Path(__file__).parents[3] / "assets" / "open_grasps" / "grasps.safetensors"
+OPEN_GRASPS = shipped("assets") / "open_grasps" / "grasps.safetensors"
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from grabnet.open.grasps.store import load_open_grasps
 from grabnet.open.objects import build_object
 from grabnet.physics.simulation import Simulation
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 CONFIG: PhysicsConfig = instantiate(OmegaConf.load(ROOT / "configs/evaluation/physics.yaml"))
 GRASPTTA = CONFIG.grasptta
 # Free fall for 35 steps by semi-implicit Euler: h² g (1 + 2 + … + 35).
