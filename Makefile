@@ -22,7 +22,7 @@ comma := ,
 empty :=
 
 demo: $(DEMO)/coarsenet/model.safetensors $(DEMO)/refinenet/model.safetensors
-	$(BIN)/python scripts/sample.py n=20 output=$(DEMO)/grasps coarsenet=$(DEMO)/coarsenet refinenet=$(DEMO)/refinenet \
+	$(BIN)/python scripts/sample.py n=20 output=$(DEMO)/grasps model=$(DEMO) \
 	  mesh=[$(subst $(empty) $(empty),$(comma),$(UNSEEN:%=data/open/tools/object_meshes/contact_meshes/%.ply))]
 
 $(DEMO)/refinenet/model.safetensors: | $(DEMO)/coarsenet/model.safetensors

@@ -1,4 +1,4 @@
-"""Tables of the paper and of the field: `python scripts/evaluate.py coarsenet=<run> refinenet=<run> output=DIR`; all
+"""Tables of the paper and of the field: `python scripts/evaluate.py models=[open,<run>] output=DIR`; all
 values are in configs/evaluate.yaml."""
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 from grabnet.cli.entry import hydra_entry
 from grabnet.cli.quoting import quoted
 
-PATHS = ("coarsenet", "refinenet", "runs", "grasps", "output", "cache_dir", "objects.dir", "hand_model.path")
+PATHS = ("models", "runs", "grasps", "output", "cache_dir", "objects.dir", "hand_model.path")
 
 
 @hydra_entry("evaluate")

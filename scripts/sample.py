@@ -1,4 +1,4 @@
-"""Grasps of meshes: `python scripts/sample.py mesh=cup.obj n=20 output=DIR`; all values are in configs/sample.yaml."""
+"""Grasps of meshes: `python scripts/sample.py mesh=cup.obj n=20 output=DIR`; all values are in configs/sample/."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ from omegaconf import DictConfig
 from grabnet.cli.entry import hydra_entry
 from grabnet.cli.quoting import quoted
 
-PATHS = ("mesh", "output", "format", "coarsenet", "refinenet", "runs", "hand_model", "cache_dir")
+PATHS = ("mesh", "output", "format", "model", "runs", "hand_model", "cache_dir")
 
 
-@hydra_entry("sample")
+@hydra_entry("sample/sample")
 def main(cfg: DictConfig) -> None:
-    from grabnet.generation.run import sample
+    from grabnet.generation.run import run
 
-    if sample(instantiate(cfg, _convert_="all")):
-        sys.exit(2)
+    sys.exit(run(instantiate(cfg, _convert_="all")))
 
 
 if __name__ == "__main__":

@@ -18,9 +18,7 @@ from grabnet.errors import UserError
 from grabnet.io.files import replacing, sha256, write_json
 from grabnet.models.weights import (
     FILE_NAME,
-    load_coarsenet,
-    load_refinenet,
-    network_kind,
+    load_network,
     read_provenance,
     save_network,
     weights_file,
@@ -30,7 +28,7 @@ from grabnet.models.weights import (
 def ship(run: Path, folder: Path) -> None:
     """Write model.safetensors, config.yaml and metrics.json of a run into `folder`."""
     file = weights_file(run)
-    network = load_coarsenet(file) if network_kind(file) == "CoarseNet" else load_refinenet(file, HandModel.open())
+    network = load_network(file, HandModel.open())
     # Whoever gets it has no use for where this machine keeps things: paths become relative to here.
     record = json.loads(json.dumps(read_provenance(file)).replace(f"{Path.cwd()}/", ""))
     save_network(folder / FILE_NAME, network, record | {"rounded_from_sha256": sha256(file)}, torch.float16)

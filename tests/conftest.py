@@ -16,6 +16,7 @@ from grabnet.geometry.bps import BPS
 from grabnet.geometry.rotations import matrix_to_six_d
 from grabnet.io.files import replacing
 from grabnet.models.coarsenet import CoarseNet
+from grabnet.models.grabnet import GrabNet
 from grabnet.models.refinenet import RefineNet
 
 TINY_OBJECTS = {
@@ -86,4 +87,4 @@ def grabber(hand: HandModel) -> Grabber:
         ):
             layer.weight.mul_(size)
             layer.bias.copy_(bias)
-    return Grabber(coarsenet, refinenet, hand, batch_size=16, n_turns=12)
+    return Grabber(GrabNet(coarsenet, refinenet), hand, batch_size=16, n_turns=12)

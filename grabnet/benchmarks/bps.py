@@ -43,7 +43,7 @@ def cases(settings: Benchmark) -> list[Case]:
         Case("exact mesh queries", by_query, ("KD-tree of 10,000 samples",)),
         Case(
             "atlas",
-            lambda: bps.from_atlas(scene.atlas, scene.objects, scene.rotations, scene.centroids),
+            lambda: scene.atlas.basis_distances(bps.basis, scene.objects, scene.rotations, scene.centroids),
             ("KD-tree of 10,000 samples",),
         ),
     ]

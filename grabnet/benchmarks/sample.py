@@ -15,6 +15,7 @@ from grabnet.generation.grabber import Grabber
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.rotations import random_rotations
 from grabnet.models.coarsenet import CoarseNet
+from grabnet.models.grabnet import GrabNet
 from grabnet.models.refinenet import RefineNet
 
 N_GRASPS = 1000
@@ -25,8 +26,8 @@ N_SAMPLES = 2048
 def cases(settings: Benchmark) -> list[Case]:
     torch.manual_seed(settings.seed)
     hand = HandModel.open()
-    refined = Grabber(CoarseNet(BPS()), RefineNet(hand), hand).to(settings.device)
-    coarse = Grabber(refined.coarsenet, None, hand).to(settings.device)
+    refined = Grabber(GrabNet(CoarseNet(BPS()), RefineNet(hand)), hand).to(settings.device)
+    coarse = Grabber(GrabNet(refined.generator.coarsenet), hand).to(settings.device)
     mesh = meshes()[0]
     points = torch.tensor(mesh.sample_surface(N_SAMPLES)[0] - mesh.centroid, device=settings.device)
 
@@ -47,8 +48,9 @@ def cases(settings: Benchmark) -> list[Case]:
 def _plain(grabber: Grabber, points: Tensor) -> None:
     """As many grasps, each of the object turned anew, but without report: no exact penetration, no contact."""
     poses = random_rotations(N_GRASPS, torch.Generator().manual_seed(0)).to(points.device)
+    coarsenet, refinenet = grabber.generator.coarsenet, grabber.generator.refinenet
     for pose in poses.split(grabber.batch_size):
         clouds = points @ pose.mT
-        bps = torch.cat([grabber.coarsenet.bps.encode(cloud)["dists"] for cloud in clouds])
-        hands = grabber.coarsenet.sample(bps)
-        grabber.refinenet(hands, lambda v, c=clouds: torch.cdist(v, c).amin(-1))
+        bps = torch.cat([coarsenet.bps.encode(cloud)["dists"] for cloud in clouds])
+        hands = coarsenet.decode(torch.randn(len(bps), coarsenet.latent_dim, device=bps.device), bps)
+        refinenet(hands, lambda v, c=clouds: torch.cdist(v, c).amin(-1))

@@ -67,7 +67,7 @@ class Step:
         faces = module.hand.faces
         self.edges = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).sort(-1).values.unique(dim=0)
         if isinstance(module, CoarseNetTraining):
-            self.features = self.batch.features(module.network.bps)
+            self.features = module.network.features(self.batch.objects)
 
     @classmethod
     def make(cls, settings: Benchmark, overrides: list[str]) -> Step:
@@ -103,7 +103,8 @@ class Step:
     def plain_terms(self) -> dict[str, Tensor]:
         """The loss of the step's batch, by cdist: the module's own with `data.measure=samples` and all samples near."""
         batch, module, network = self.batch, self.module, self.module.network
-        points = batch.object_set.points[batch.objects] @ batch.rotations.mT
+        placed = batch.objects
+        points = self.data.assembler.object_set.points[placed.index] @ placed.rotations.mT
         if isinstance(module, CoarseNetTraining):
             hand, posterior = network(self.features, batch.hand.global_orient, batch.hand.transl)
         else:

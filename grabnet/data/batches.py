@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.data.frames import Frames
 from grabnet.data.objects import ObjectSet
-from grabnet.geometry.bps import BPS
+from grabnet.geometry.placed import PlacedObjects
 from grabnet.geometry.rotations import about_z, axis_angle_to_matrix
 from grabnet.precision import full_precision
 
@@ -24,36 +24,29 @@ class GraspBatch:
     """B hands on objects in the object-centred world frame, metres.
 
     Attributes:
-        objects: (B,) into `object_set`. rotations: (B, 3, 3) object frame to world.
-        hand: true parameters. rest: (B, V, 3) rest vertices of each frame's subject. vertices: (B, V, 3) posed.
-        distances: (B, V) signed distance of each hand vertex to the object.
-        points: (B, P, 3) points on the object near the hand; point_distances: (B, P) their signed distances to it.
-        object_set: geometry of the objects.
+        objects: as they stand before the hand.
+        hand: true parameters.
+        rest: (B, V, 3) rest vertices of each frame's subject.
+        vertices: (B, V, 3) of the true hand.
+        distances: (B, V) of these vertices to the object, as `objects.distances` gives them.
+        points: (B, P, 3) samples of the object's surface, those nearest to the hand.
+        point_distances: (B, P) their signed distances to the hand.
+        point_share: part of all the object's samples that `points` are.
         noisy: hands near the true ones, where the store holds such.
     """
 
-    objects: Tensor
-    rotations: Tensor
+    objects: PlacedObjects
     hand: HandParameters
     rest: Tensor
     vertices: Tensor
     distances: Tensor
     points: Tensor
     point_distances: Tensor
-    object_set: ObjectSet
+    point_share: float
     noisy: HandParameters | None = None
 
     def __len__(self) -> int:
         return len(self.objects)
-
-    def measure(self, vertices: Tensor) -> Tensor:
-        """Signed distances (B, N) of world points (B, N, 3) to each element's object."""
-        return self.object_set.distances(vertices, self.objects, self.rotations)
-
-    def features(self, bps: BPS) -> Tensor:
-        """(B, n_bps) distances from the basis points to each element's object."""
-        centroids = self.object_set.centroids[self.objects]
-        return bps.from_atlas(self.object_set.atlas, self.objects, self.rotations, centroids)
 
 
 class BatchAssembler(nn.Module):
@@ -75,8 +68,8 @@ class BatchAssembler(nn.Module):
     def measured(self, frames: Frames) -> tuple[Tensor, Tensor]:
         """Posed vertices (N, V, 3) of the frames and their distances (N, V) to the object, metres."""
         vertices = self.hand(frames.hand(), self.v_template[frames.subject]).vertices
-        rotations = axis_angle_to_matrix(frames.object_orient)
-        return vertices, self.object_set.distances(vertices, frames.object, rotations)
+        objects = self.object_set.place(frames.object, axis_angle_to_matrix(frames.object_orient))
+        return vertices, objects.distances(vertices)
 
     @torch.no_grad()
     @full_precision
@@ -98,14 +91,13 @@ class BatchAssembler(nn.Module):
         samples, near = self.object_set.points, targets.near
         points = samples[frames.object] if near is None else samples[frames.object.unsqueeze(1), near.long()]
         return GraspBatch(
-            objects=frames.object,
-            rotations=rotations,
+            objects=self.object_set.place(frames.object, rotations),
             hand=hand,
             rest=rest,
             vertices=self.hand(hand, rest).vertices,
             distances=targets.distances.to(rest.dtype),
             points=points @ rotations.mT,
             point_distances=targets.near_distances.to(rest.dtype),
-            object_set=self.object_set,
+            point_share=points.shape[1] / samples.shape[1],
             noisy=noisy,
         )

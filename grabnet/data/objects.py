@@ -12,9 +12,8 @@ from torch import Tensor, nn
 from grabnet.errors import UserError
 from grabnet.geometry.atlas import SDFAtlas, SDFGrid
 from grabnet.geometry.mesh import Mesh, load_mesh
-from grabnet.geometry.nearest import nearest_point_distance
+from grabnet.geometry.placed import PlacedObjects
 from grabnet.io.files import existing, sha256
-from grabnet.precision import full_precision
 
 OBJECT_MESHES = Path("tools/object_meshes/contact_meshes")  # GRAB's own layout, below its root
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf")
@@ -29,8 +28,8 @@ class ObjectSet(nn.Module):
         n_points: surface points sampled per object (ref. 2: 2048).
         seed: of the sampling.
         cache_dir: where signed-distance grids are kept; the user's cache folder when omitted.
-        measure: what `distances` are: to the "surface", signed, by the atlas; or unsigned to the nearest of the
-            "samples", as published (ref. 2), by brute force.
+        measure: what the `distances` of placed objects are: to the "surface", signed, by the atlas; or unsigned to the
+            nearest of the "samples", as published (ref. 2), by brute force.
 
     Raises:
         UserError: another `measure`.
@@ -79,21 +78,10 @@ class ObjectSet(nn.Module):
             raise UserError(f"{folder} has no mesh for {', '.join(missing)}; it has {', '.join(files) or 'none'}.")
         return cls(names, [load_mesh(files[name]) for name in names], **options)
 
-    @full_precision
-    def distances(self, points: Tensor, objects: Tensor, rotations: Tensor) -> Tensor:
-        """Distances (B, N) in metres, as `measure` says.
-
-        Args:
-            points: (B, N, 3) in the world's frame, about the centroid.
-            objects: (B,) that each row is about, turned by rotations (B, 3, 3).
-        """
-        if self.measure == "samples":
-            return nearest_point_distance(points, self.points[objects] @ rotations.mT)
-        return self.signed_distances(points, objects, rotations)
-
-    def signed_distances(self, points: Tensor, objects: Tensor, rotations: Tensor) -> Tensor:
-        """Signed distances (B, N) to the surface, whatever `measure` is; arguments as above."""
-        return self.atlas(points, objects, rotations, self.centroids[objects])
+    def place(self, index: Tensor, rotations: Tensor) -> PlacedObjects:
+        """Objects `index` (B,) in a world about their centroids, in which they are turned by `rotations` (B, 3, 3)."""
+        samples = self.points if self.measure == "samples" else None
+        return PlacedObjects(self.atlas, index, rotations, self.centroids[index], samples)
 
 
 def object_files(folder: str | Path) -> dict[str, Path]:

@@ -50,10 +50,10 @@ def drawn(
         grasps = grabber(mesh, n, seed, cache_dir=grid_cache)
         return {"vertices": grasps.vertices.numpy(), "hand_pose": grasps.parameters.hand_pose.numpy()}
 
-    hand_hash = sha256(grabber.hand.v_template.numpy())
+    hand_hash = sha256(grabber.hand.v_template.cpu().numpy())
     sizes = f"{n} {seed} {grabber.batch_size} {grabber.n_turns}"
     found = cache.get("drawn", [*networks, mesh.sha256, hand_hash, sizes], draw)
-    return Hands(faces=grabber.hand.faces.numpy(), **found)
+    return Hands(faces=grabber.hand.faces.cpu().numpy(), **found)
 
 
 def read_grasps(folder: Path, name: str, file: Path, hand: HandModel, n: int) -> Hands | None:

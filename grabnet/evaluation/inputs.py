@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -18,12 +17,9 @@ from grabnet.evaluation.cache import Cache
 from grabnet.evaluation.hands import HandLabels, Hands
 from grabnet.evaluation.protocols.ground_truth import recorded_hands
 from grabnet.evaluation.settings import Evaluation
-from grabnet.generation.grabber import Grabber
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.io.cache import default_cache
 from grabnet.io.files import sha256
-from grabnet.models.trained import check_hand, find_pair
-from grabnet.models.weights import load_coarsenet, load_refinenet, weights_file
 
 
 class Material:
@@ -100,38 +96,3 @@ class Material:
             return {"keypoints": np.concatenate([self.labels.keypoints(h) for h in hands])}
 
         return self.cache.get("keypoints", [*self.fingerprint, mesh.sha256], find)["keypoints"]
-
-
-@dataclass(frozen=True)
-class Networks:
-    """The trained networks to evaluate: their files and hashes, by name."""
-
-    files: dict[str, Path]
-
-    @classmethod
-    def of(cls, wanted: Evaluation, hand: HandModel) -> Networks:
-        """Those named; where none is, nor any folder of grasps, the newest, or the shipped ones.
-
-        Raises:
-            UserError: a RefineNet without a CoarseNet to start from, none there, or trained with another hand.
-        """
-        if wanted.refinenet and not wanted.coarsenet:
-            raise UserError("refinenet is given without coarsenet, from whose grasps it starts: name that, too.")
-        if wanted.coarsenet:
-            named = {"coarsenet": wanted.coarsenet, "refinenet": wanted.refinenet}
-            files = {name: weights_file(path) for name, path in named.items() if path}
-        elif not wanted.folders:
-            files = dict(zip(("coarsenet", "refinenet"), find_pair(runs=wanted.runs), strict=True))
-        else:
-            files = {}
-        for path in files.values():
-            check_hand(path, hand)
-        return cls(files)
-
-    @cached_property
-    def hashes(self) -> dict[str, str]:
-        return {name: sha256(path) for name, path in self.files.items()}
-
-    def grabber(self, hand: HandModel, refine: bool) -> Grabber:
-        refinenet = load_refinenet(self.files["refinenet"], hand) if refine else None
-        return Grabber(load_coarsenet(self.files["coarsenet"]), refinenet, hand)

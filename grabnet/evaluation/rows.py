@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from grabnet.errors import UserError
 from grabnet.evaluation.baseline import lookalike, transplanted
 from grabnet.evaluation.generated import drawn, read_grasps
-from grabnet.evaluation.inputs import Material, Networks
+from grabnet.evaluation.inputs import Material
+from grabnet.evaluation.models import EvaluatedModel
 from grabnet.evaluation.protocols.ground_truth import ground_truth_row, recorded_hands
 from grabnet.evaluation.summary import Row
 from grabnet.geometry.mesh import load_mesh
 
 
-def make_rows(material: Material, networks: Networks) -> list[Row]:
+def make_rows(material: Material, models: Sequence[EvaluatedModel]) -> list[Row]:
     """All rows with their hands, not yet measured.
 
     Raises:
         UserError: grasps that cannot be read, or are of no object that is evaluated.
     """
-    rows = [_ground_truth(material), _baseline(material), *_networks(material, networks)]
+    rows = [_ground_truth(material), _baseline(material), *_models(material, models)]
     return rows + _elsewhere(material, {row.name for row in rows})
 
 
@@ -48,20 +51,22 @@ def _baseline(material: Material) -> Row:
     return row
 
 
-def _networks(material: Material, networks: Networks) -> list[Row]:
-    wanted, rows = material.wanted, []
-    for used in (["coarsenet"], ["coarsenet", "refinenet"]):
-        if not set(used) <= set(networks.files):
-            continue
-        refine = "refinenet" in used
-        name, rank = ("CoarseNet + RefineNet", 1) if refine else ("CoarseNet", 2)
-        print(f"{name}: {', '.join(str(networks.files[network]) for network in used)}")
-        grabber, hashes = networks.grabber(material.hand, refine), [networks.hashes[network] for network in used]
-        hands = {
-            thing: drawn(grabber, hashes, mesh, wanted.n, wanted.seed, material.data.cache_dir, material.cache)
-            for thing, mesh in material.meshes.items()
-        }
-        rows.append(Row(name, "drawn from the network" + "s" * refine, rank, hands))
+def _models(material: Material, models: Sequence[EvaluatedModel]) -> list[Row]:
+    config, rows = material.wanted, []
+    for model in models:
+        variants = model.variants()
+        for k, (variant, grabber) in enumerate(variants.items()):
+            name = variant if len(models) == 1 else f"{model.name}: {variant}"
+            print(f"{name}: {', '.join(str(file) for file in model.files.values())}")
+            hashes = [variant, *model.hashes.values()]
+            hands = {
+                object_name: drawn(
+                    grabber, hashes, mesh, config.n, config.seed, material.data.cache_dir, material.cache
+                )
+                for object_name, mesh in material.meshes.items()
+            }
+            whole = k == len(variants) - 1
+            rows.append(Row(name, f"drawn from {model.name}", 1 if whole else 2, hands))
     return rows
 
 

@@ -14,9 +14,10 @@ import numpy as np
 import torch
 from hydra.utils import instantiate
 
-from grabnet.evaluation.inputs import Material, Networks
+from grabnet.evaluation.inputs import Material
 from grabnet.evaluation.measuring import Task, measured
 from grabnet.evaluation.metrics import Metric
+from grabnet.evaluation.models import EvaluatedModel, load_models
 from grabnet.evaluation.protocols import diversity
 from grabnet.evaluation.protocols.contact import FingerContact, vertex_areas
 from grabnet.evaluation.protocols.contact_maps import ContactMaps, write_maps
@@ -32,9 +33,9 @@ from grabnet.evaluation.reporting.tables import write_csv, write_grasps_csv, wri
 from grabnet.evaluation.rows import make_rows
 from grabnet.evaluation.settings import Evaluation
 from grabnet.evaluation.summary import Row, figures, surprises
+from grabnet.generation.config import usable_device
 from grabnet.io.files import sha256
 from grabnet.io.provenance import provenance
-from grabnet.models.weights import load_coarsenet, load_refinenet
 
 
 def evaluate(wanted: Evaluation) -> None:
@@ -46,8 +47,8 @@ def evaluate(wanted: Evaluation) -> None:
     """
     torch.set_num_threads(torch.get_num_threads())  # said explicitly, MKL keeps to it: sums in the same order each time
     material = Material(wanted)
-    networks = Networks.of(wanted, material.hand)
-    rows = make_rows(material, networks)
+    models = load_models(wanted.models, material.hand, wanted.runs, usable_device(wanted.device))
+    rows = make_rows(material, models)
     metrics = _measure(material, rows)
     found = figures(rows, metrics, material.objects, wanted.draws, wanted.seed)
     findings = Findings(
@@ -55,11 +56,11 @@ def evaluate(wanted: Evaluation) -> None:
         objects=material.meshes,
         metrics=metrics,
         figures=found,
-        errors=_reconstruction(material, networks),
+        errors=_reconstruction(material, models),
         surprises=surprises(found, rows, metrics),
         failures=_failures(rows, material.objects),
         split=wanted.split,
-        record=_record(material, networks),
+        record=_record(material, models),
     )
     output = Path(wanted.output).expanduser()
     write_json_tables(output / "metrics.json", findings)
@@ -142,31 +143,34 @@ def _failures(rows: Sequence[Row], objects: Sequence[str]) -> list[str]:
     return sentences
 
 
-def _reconstruction(material: Material, networks: Networks) -> list[Errors]:
+def _reconstruction(material: Material, models: Sequence[EvaluatedModel]) -> list[Errors]:
     wanted = material.wanted
-    if not wanted.reconstruction or not networks.files:
+    if not wanted.reconstruction:
         return []
-
-    def find() -> dict[str, np.ndarray]:
-        material.data.setup()
-        refinenet = (
-            load_refinenet(networks.files["refinenet"], material.hand) if "refinenet" in networks.files else None
-        )
-        coarsenet, source = load_coarsenet(networks.files["coarsenet"]), instantiate(wanted.source)
-        errors = list(reconstruction(material.data, material.hand, coarsenet, refinenet, source))
-        return {"errors": np.frombuffer(json.dumps(errors).encode(), np.uint8)}
-
     settings = json.dumps([wanted.source, wanted.data], sort_keys=True)
-    found = material.cache.get("reconstruction", [*networks.hashes.values(), settings, *material.fingerprint], find)
-    return [Errors(*values) for values in json.loads(found["errors"].tobytes())]
+    errors = []
+    for model in models:
+
+        def find(model: EvaluatedModel = model) -> dict[str, np.ndarray]:
+            material.data.setup()
+            found = list(reconstruction(material.data, material.hand, model.files, instantiate(wanted.source)))
+            return {"errors": np.frombuffer(json.dumps(found).encode(), np.uint8)}
+
+        keys = [*model.hashes.values(), settings, *material.fingerprint]
+        found = material.cache.get("reconstruction", keys, find)["errors"]
+        for network, *values in json.loads(found.tobytes()):
+            errors.append(Errors(network if len(models) == 1 else f"{model.name}: {network}", *values))
+    return errors
 
 
-def _record(material: Material, networks: Networks) -> dict[str, Any]:
+def _record(material: Material, models: Sequence[EvaluatedModel]) -> dict[str, Any]:
     """What the figures were made with."""
     return {
-        "networks": {
-            name: {"file": str(path.resolve()), "sha256": networks.hashes[name]}
-            for name, path in networks.files.items()
+        "models": {
+            model.name: {
+                kind: {"file": str(path.resolve()), "sha256": model.hashes[kind]} for kind, path in model.files.items()
+            }
+            for model in models
         },
         "data": {
             "store": str(material.data.store_dir),

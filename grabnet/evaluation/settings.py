@@ -19,8 +19,7 @@ class Evaluation:
         UserError: a value out of range.
     """
 
-    coarsenet: str | None
-    refinenet: str | None
+    models: list[Any]
     runs: str
     grasps: str | list[str] | None
     output: str
@@ -39,6 +38,7 @@ class Evaluation:
     pictures: int
     scenes: int
     processes: int
+    device: str
     cache_dir: str | None
     objects: dict[str, Any]
     hand_model: dict[str, Any]

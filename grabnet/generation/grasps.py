@@ -2,68 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from torch import Tensor
 
 from grabnet.body.anatomy import FINGERS
 from grabnet.body.hand import HandParameters
+from grabnet.contact.contacts import DEFINITIONS, Contacts
+from grabnet.errors import UserError
+from grabnet.generation.formats import FORMATS
 from grabnet.geometry.mesh import Mesh
+from grabnet.geometry.rotations import matrix_to_axis_angle
+from grabnet.io.files import filling, write_json
 
-# What the numbers of a report are, kept beside them.
-DEFINITIONS = {
-    "max_penetration_mm": "depth of the deepest hand vertex inside the object",
-    "mean_penetration_mm": "mean depth of those hand vertices that are inside the object, 0 where none is",
-    "contact_vertices": "hand vertices inside the object or nearer to its surface than 4.5 mm",
-    "distance": "signed distance to the mesh itself, exact (no grid); inside is where the winding number exceeds 1/2",
-}
+# What `Grasps.save` writes. The last one is written last: where it lies, the others are complete.
+RESULTS = ("meshes", "grasps.npz", "grasps.json")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Contacts:
-    """How N hands meet an object; tensors on one device.
-
-    Attributes:
-        distances: (N, V) metres from each hand vertex to the object's surface, negative inside.
-        finger: (V,) index into `FINGERS`; -1 on palm and wrist.
-        contact_distance: metres, below which a vertex is in contact (ref. 4).
-    """
-
-    distances: Tensor
-    finger: Tensor
-    contact_distance: float = 0.0045
-
-    def __len__(self) -> int:
-        return len(self.distances)
-
-    @property
-    def max_penetration(self) -> Tensor:
-        """(N,) depth in metres of the deepest hand vertex inside the object; 0 where none is inside."""
-        return (-self.distances).amax(1).clamp_min(0)
-
-    @property
-    def mean_penetration(self) -> Tensor:
-        """(N,) metres: the mean depth over those hand vertices that are inside the object; 0 where none is inside."""
-        depth = (-self.distances).clamp_min(0)
-        return depth.sum(1) / (depth > 0).sum(1).clamp_min(1)
-
-    @property
-    def contact_vertices(self) -> Tensor:
-        """(N, 6) number of vertices in contact (inside counts) of each of `FINGERS`, then of palm and wrist."""
-        touching = (self.distances < self.contact_distance).long()
-        part = self.finger.remainder(len(FINGERS) + 1)  # -1, palm and wrist, comes last
-        return touching.new_zeros(len(self), len(FINGERS) + 1).index_add(1, part, touching)
-
-    @property
-    def pinched(self) -> Tensor:
-        """(N,) bool: the thumb and at least one other finger are in contact."""
-        touching = self.contact_vertices[:, : len(FINGERS)] > 0
-        return touching[:, 0] & touching[:, 1:].any(1)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Grasps(Contacts):
+class Grasps:
     """N hands on `mesh`; tensors on the CPU.
 
     Attributes:
@@ -77,7 +38,7 @@ class Grasps(Contacts):
         object_transform: (N, 4, 4) from the mesh's frame to the world that each grasp was made in: metres, z up, turned
             as the networks saw the object, origin at its centroid.
         vertices: (N, V, 3) hands in the mesh's frame and units. faces: (F, 3), outward.
-        distances: as in `Contacts`, exact within 1 cm of the mesh.
+        contacts: of the hands with the mesh; distances are exact within 1 cm of it.
     """
 
     mesh: Mesh
@@ -89,12 +50,22 @@ class Grasps(Contacts):
     object_transform: Tensor
     vertices: Tensor
     faces: Tensor
+    contacts: Contacts
+
+    def __len__(self) -> int:
+        return len(self.vertices)
+
+    def __repr__(self) -> str:
+        return f"<{self.summary()}; {self.side} hands, seed {self.seed}>"
 
     def first(self, n: int) -> Grasps:
         """The first n of them, or all when there are fewer."""
-        per_grasp = ("betas", "object_transform", "vertices", "distances")
+        per_grasp = ("betas", "object_transform", "vertices")
         return replace(
-            self, parameters=self.parameters.select(slice(n)), **{name: getattr(self, name)[:n] for name in per_grasp}
+            self,
+            parameters=self.parameters.select(slice(n)),
+            contacts=replace(self.contacts, distances=self.contacts.distances[:n]),
+            **{name: getattr(self, name)[:n] for name in per_grasp},
         )
 
     @property
@@ -109,15 +80,20 @@ class Grasps(Contacts):
 
     def summary(self) -> str:
         """The grasps in a line for the screen."""
+        contacts = self.contacts
         return (
-            f"{len(self)} grasps, thumb and a finger touch in {self.pinched.float().mean():.0%}, "
-            f"deepest penetration {1000 * self.max_penetration.mean():.1f} mm on average"
+            f"{len(self)} grasps, thumb and a finger touch in {contacts.pinched.float().mean():.0%}, "
+            f"deepest penetration {1000 * contacts.max_penetration.mean():.1f} mm on average"
         )
 
-    def report(self) -> list[dict]:
+    def report(self) -> list[dict[str, Any]]:
         """One record per grasp, ready for JSON: penetration in mm, contact vertices by finger, index and seed."""
+        contacts = self.contacts
         rows = zip(
-            self.max_penetration.tolist(), self.mean_penetration.tolist(), self.contact_vertices.tolist(), strict=True
+            contacts.max_penetration.tolist(),
+            contacts.mean_penetration.tolist(),
+            contacts.contact_vertices.tolist(),
+            strict=True,
         )
         return [
             {
@@ -129,3 +105,49 @@ class Grasps(Contacts):
             }
             for i, (deepest, mean, counts) in enumerate(rows)
         ]
+
+    def save(self, folder: str | Path, formats: Sequence[str] = ("glb",), **record: Any) -> None:
+        """Write grasps.npz, grasps.json and meshes/ into `folder`, in place of earlier ones, all or nothing.
+
+        Args:
+            folder: other files in it stay as they are.
+            formats: of the meshes, any of `FORMATS`; all lie in the frame and units of the object's mesh.
+            record: facts for grasps.json, ready for JSON, beside the list `grasps` and the definitions of its numbers.
+
+        Raises:
+            UserError: an unknown format.
+        """
+        with filling(folder, RESULTS) as temporary:
+            self.write(temporary, formats, record)
+
+    def write(self, folder: Path, formats: Sequence[str], record: Mapping[str, Any]) -> None:
+        """Write the same files into an empty folder."""
+        if unknown := [name for name in formats if name not in FORMATS]:
+            raise UserError(f"format is '{unknown[0]}'; it can be any of {', '.join(FORMATS)}.")
+        np.savez(folder / "grasps.npz", **self.arrays())
+        for name in formats:
+            (folder / "meshes").mkdir(exist_ok=True)
+            FORMATS[name](folder / "meshes", self.mesh, self.vertices.numpy(), self.faces.numpy())
+        definitions = {"definitions": DEFINITIONS, "contact_distance": self.contacts.contact_distance}
+        write_json(folder / "grasps.json", {**record, **definitions, "grasps": self.report()})
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What grasps.npz holds, as the field's hand models take it (metres, radians, along the axes of the mesh).
+
+        global_orient (N, 3) and hand_pose (N, 45) axis-angle (flat_hand_mean), transl (N, 3), betas (N, n), side,
+        units_per_metre () by which posed vertices are multiplied to lie in the mesh's units, object_transform (N, 4, 4)
+        from the mesh's frame to the world each grasp was made in, seed ().
+        """
+        pose = self.parameters
+        tensors = {
+            "global_orient": matrix_to_axis_angle(pose.global_orient),
+            "hand_pose": matrix_to_axis_angle(pose.hand_pose).flatten(1),
+            "transl": pose.transl,
+            "betas": self.betas,
+            "object_transform": self.object_transform,
+        }
+        return {name: value.numpy() for name, value in tensors.items()} | {
+            "side": np.array(self.side),
+            "units_per_metre": np.float64(self.units_per_metre),
+            "seed": np.int64(self.seed),
+        }

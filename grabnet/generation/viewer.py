@@ -29,7 +29,7 @@ def write_viewer(path: str | Path, grasps: Grasps, title: str) -> None:
         return _base64(((vertices - low) / step).round().astype("<u2"))
 
     # 0 apart, 1 in contact, 2 inside
-    touching = (grasps.distances < grasps.contact_distance).int() + (grasps.distances < 0).int()
+    touching = grasps.contacts.touching.int() + (grasps.contacts.distances < 0).int()
     data = {
         "title": title,
         "side": grasps.side,

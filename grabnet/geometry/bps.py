@@ -10,7 +10,6 @@ import torch
 from torch import Tensor, nn
 
 from grabnet.errors import UserError
-from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.queries import MeshQuery
 from grabnet.io.npz import read_npz
 
@@ -83,17 +82,8 @@ class BPS(nn.Module):
         """The basis (B, P, 3) as seen by objects of rotation (B, 3, 3) whose centroids (B, 3) lie at its origin."""
         return self.basis @ rotations + centroids.unsqueeze(1)
 
-    def from_atlas(self, atlas: SDFAtlas, objects: Tensor, rotations: Tensor, centroids: Tensor) -> Tensor:
-        """Distances (B, P) from the basis to the surfaces of `objects` (B,) of an atlas.
-
-        Args:
-            rotations: (B, 3, 3) of the objects in the world, in which the basis is fixed.
-            centroids: (B, 3) of the objects in their own frames: the point that is centred in the basis.
-        """
-        return atlas.basis_distances(self.basis, objects, rotations, centroids)
-
     def from_mesh(self, query: MeshQuery, rotation: Tensor, centroid: Tensor) -> Tensor:
-        """Exact distances (P,) from the basis to one mesh's surface: what `from_atlas` approximates."""
+        """Exact distances (P,) from the basis to one mesh's surface; `PlacedObjects.basis_distances` is nearly that."""
         basis = self.in_object_frame(rotation.unsqueeze(0), centroid.unsqueeze(0))[0]
         return query.closest(basis).distance
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,8 +14,6 @@ from grabnet.geometry.mesh_formats import read_geometry
 from grabnet.io.files import existing, sha256, write_bytes
 
 MAX_FACES = 2_000_000
-# The axis that points up, where a format's specification says so; every other file is taken as z-up.
-FORMAT_UP = {".gltf": "y", ".glb": "y"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +95,7 @@ class Mesh:
 
 
 def load_mesh(path: str | Path, weld: bool = True) -> Mesh:
-    """Read an obj, ply, stl, off, glb or gltf file, in the file's own frame and units (see `file_to_object`).
+    """Read an obj, ply, stl, off, glb or gltf file, in the file's own frame and units (see `load_object`).
 
     Scenes are flattened with their transforms. Only geometry is read: no materials, nothing outside the file's folder.
 
@@ -125,47 +122,6 @@ def save_mesh(path: str | Path, mesh: Mesh) -> None:
     path = Path(path)
     data = mesh.trimesh().export(file_type=path.suffix.lower().lstrip("."))
     write_bytes(path, data.encode() if isinstance(data, str) else data)
-
-
-def file_to_object(path: str | Path, scale: float = 1.0, up: str | None = None) -> np.ndarray:
-    """(4, 4) matrix from the file's frame and units to the object frame, metres and z up.
-
-    Args:
-        scale: metres per unit of the file.
-        up: the file's axis that points up, "x", "y" or "z"; when omitted, y for glTF by its specification, else z.
-    """
-    up = up or FORMAT_UP.get(Path(path).suffix.lower(), "z")
-    if up not in "xyz":
-        raise UserError(f"up={up} is no axis: use x, y or z.")
-    matrix = np.eye(4)
-    # A cyclic exchange would carry up to z too, but the least turn keeps the remaining axis where it was.
-    matrix[:3, :3] = {
-        "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
-        "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
-        "z": np.eye(3),
-    }[up]
-    matrix[:3, :3] *= scale
-    return matrix
-
-
-def check_size(mesh: Mesh, name: str | Path, largest: float = 0.4, smallest: float = 0.01) -> None:
-    """Raise a `UserError` suggesting `scale=` where the largest side of a mesh, in metres, is beyond these bounds.
-
-    Args:
-        largest, smallest: metres; most meshes beyond them are in other units, and no hand takes the rest.
-    """
-    side = float(mesh.extents.max())
-    if smallest <= side <= largest:
-        return
-    units = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "decimetres": 0.1}
-    fits = {unit: factor for unit, factor in units.items() if 0.02 <= side * factor <= largest}
-    fitting = [f"scale={factor} if it is in {unit}" for unit, factor in fits.items()]
-    remedy = " or ".join(fitting) if fitting else "scale=<metres per unit of the file>"
-    bound = f"larger than {largest * 100:g} cm" if side > largest else f"smaller than {smallest * 100:g} cm"
-    own = f"max_size={math.ceil(100 * side) / 100:g}" if side > largest else "min_size=0"
-    raise UserError(
-        f"{name} has a largest side of {side:.4g}, {bound} when read as metres: pass {remedy}, or {own} if it is so."
-    )
 
 
 def _check(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:

@@ -65,7 +65,7 @@ class ReconstructionLoss(nn.Module):
             "vertex": self.vertex * vertex_l1(vertices, batch.vertices, self.vertex_weight),
             "edge": self.edge * self.edges(vertices, batch.vertices),
             "hand_to_object": self.hand_to_object
-            * hand_to_object_l1(batch.measure(vertices), batch.distances, self.distance_weight),
+            * hand_to_object_l1(batch.objects.distances(vertices), batch.distances, self.distance_weight),
         }
 
 
@@ -99,9 +99,8 @@ class CoarseNetLoss(ReconstructionLoss):
     def forward(self, vertices: Tensor, batch: GraspBatch, posterior: Normal) -> dict[str, Tensor]:
         terms = super().forward(vertices, batch)
         reached = self.nearest.signed_offset(batch.points, vertices)
-        share = batch.points.shape[1] / batch.object_set.points.shape[1]
         error = object_to_hand_l1(reached, batch.point_distances, self.point_weights)
-        terms["object_to_hand"] = self.object_to_hand * share * error
+        terms["object_to_hand"] = self.object_to_hand * batch.point_share * error
         terms = {name: (1 - self.kl) * term for name, term in terms.items()}
         return terms | {"kl": self.kl * kl_to_standard_normal(posterior)}
 

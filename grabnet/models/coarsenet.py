@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.distributions import Normal
 from torch.nn import functional as F
 
-from grabnet.body.hand import HandParameters
+from grabnet.body.hand import HandModel, HandParameters
 from grabnet.errors import UserError
 from grabnet.geometry.bps import BPS
+from grabnet.geometry.placed import PlacedObjects
 from grabnet.geometry.rotations import matrix_to_six_d, six_d_to_matrix
+from grabnet.models.generator import SavedNetwork
 from grabnet.models.layers import BatchNorm, Head, ResidualBlock, concatenate
 from grabnet.models.published import COARSENET, PublishedWeights
 
 
-class CoarseNet(nn.Module):
+class CoarseNet(SavedNetwork):
     """Object shape and latent code → hand pose, in the object-centred world frame.
 
     Args:
@@ -81,6 +84,24 @@ class CoarseNet(nn.Module):
         weights.fill(network)
         return network.eval()
 
+    def arguments(self) -> dict[str, int | float]:
+        return {
+            "latent_dim": self.latent_dim,
+            "width": self.encoder1.fc2.out_features,
+            "n_hidden": self.encoder1.fc1.out_features,
+            "n_joints": self.pose.out_features // 6,
+        }
+
+    @classmethod
+    def rebuild(
+        cls, arguments: Mapping[str, int | float], tensors: Mapping[str, Tensor], hand: HandModel | None
+    ) -> CoarseNet:
+        return cls(BPS(len(tensors["bps.basis"])), **arguments)  # its points are among the tensors
+
+    def features(self, objects: PlacedObjects) -> Tensor:
+        """Distances (B, P) in metres from the basis points to B placed objects: `bps` of the methods below."""
+        return objects.basis_distances(self.bps.basis)
+
     def encode(self, bps: Tensor, global_orient: Tensor, transl: Tensor) -> Normal:
         """Posterior over latent codes (B, latent_dim), given bps (B, P) in metres and the true wrist."""
         x = self.encoder_norm(concatenate(bps, global_orient, transl))
@@ -99,11 +120,6 @@ class CoarseNet(nn.Module):
         posterior = self.encode(bps, global_orient, transl)
         z = posterior.rsample() if self.training else posterior.mean
         return self.decode(z, bps), posterior
-
-    def sample(self, bps: Tensor, generator: torch.Generator | None = None) -> HandParameters:
-        """One new grasp per row of bps (B, P), from z ~ N(0, 1)."""
-        z = torch.randn(len(bps), self.latent_dim, generator=generator, dtype=bps.dtype, device=bps.device)
-        return self.decode(z, bps)
 
 
 @torch.no_grad()

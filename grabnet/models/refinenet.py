@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import torch
@@ -11,11 +11,12 @@ from torch import Tensor, nn
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.errors import UserError
 from grabnet.geometry.rotations import matrix_to_six_d, six_d_to_matrix
+from grabnet.models.generator import SavedNetwork
 from grabnet.models.layers import BatchNorm, Head, ResidualBlock, concatenate
 from grabnet.models.published import REFINENET, PublishedWeights
 
 
-class RefineNet(nn.Module):
+class RefineNet(SavedNetwork):
     """Three residual iterations with shared weights; the hand is posed and measured anew between them.
 
     Args:
@@ -68,6 +69,25 @@ class RefineNet(nn.Module):
         )
         weights.fill(network)
         return network.eval()
+
+    def arguments(self) -> dict[str, int | float]:
+        return {
+            "iterations": self.iterations,
+            "width": self.block1.fc2.out_features,
+            "n_hidden": self.block1.fc1.out_features,
+            "dropout": self.dropout.p,
+        }
+
+    @classmethod
+    def rebuild(
+        cls, arguments: Mapping[str, int | float], tensors: Mapping[str, Tensor], hand: HandModel | None
+    ) -> RefineNet:
+        if hand is None:
+            raise UserError("RefineNet needs the hand model it was trained with")
+        n_vertices = len(tensors["distance_norm.weight"])
+        if n_vertices != len(hand.v_template):
+            raise UserError(f"it was trained for a hand of {n_vertices} vertices; this one has {len(hand.v_template)}")
+        return cls(hand, **arguments)
 
     def correction(self, distances: Tensor, pose: Tensor, transl: Tensor) -> tuple[Tensor, Tensor]:
         """Changes of pose (B, 96) and transl (B, 3) for hand→object distances (B, V) in metres."""

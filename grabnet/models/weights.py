@@ -3,39 +3,41 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
-from torch import nn
 
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
-from grabnet.geometry.bps import BPS
-from grabnet.io.files import existing, write_bytes
+from grabnet.io.files import existing, sha256, write_bytes
 from grabnet.models.coarsenet import CoarseNet
+from grabnet.models.generator import SavedNetwork
 from grabnet.models.refinenet import RefineNet
 
 FILE_NAME = "model.safetensors"
+# Every network that a weights file may name. A file never names a place to import from.
+NETWORKS: dict[str, type[SavedNetwork]] = {"CoarseNet": CoarseNet, "RefineNet": RefineNet}
 
 
 def save_network(
-    path: str | Path, network: CoarseNet | RefineNet, provenance: dict[str, Any], matrices: torch.dtype | None = None
+    path: str | Path, network: SavedNetwork, provenance: dict[str, Any], matrices: torch.dtype | None = None
 ) -> None:
     """Write weights and header atomically.
 
     Args:
         path: of the file.
-        network: its sizes are read off its layers.
+        network: of a class in `NETWORKS`.
         provenance: JSON-able record of config, seed, versions and data, kept in the header.
         matrices: type that the layers' matrices, which are nearly all of the file, are rounded to; their own when
             omitted.
     """
     header = {
         "network": type(network).__name__,
-        "sizes": json.dumps(_sizes(network)),
+        "sizes": json.dumps(network.arguments()),
         "provenance": json.dumps(provenance),
     }
     tensors = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
@@ -45,20 +47,56 @@ def save_network(
     write_bytes(path, save(tensors, header))
 
 
-def load_coarsenet(path: str | Path) -> CoarseNet:
-    """CoarseNet in eval mode from a run folder or a `model.safetensors`."""
-    sizes, tensors = _read(path, "CoarseNet")
-    bps = BPS(len(tensors["bps.basis"]))  # its points are among the tensors
-    return _filled(CoarseNet(bps, **sizes), tensors, path)
+def load_network(path: str | Path, hand: HandModel | None = None, kind: str | None = None) -> SavedNetwork:
+    """A network in eval mode from a run folder or a `model.safetensors`.
+
+    Args:
+        path: of the folder or file.
+        hand: the hand model it was trained with; None for a network that poses none, which is then not checked.
+        kind: the key of `NETWORKS` that the file must name; any when omitted.
+
+    Raises:
+        UserError: unreadable, another network, trained with another hand, or tensors that do not fit the header.
+    """
+    with _opened(path) as file:
+        header = file.metadata() or {}
+        held = header.get("network")
+        if held not in NETWORKS or kind not in (None, held):
+            known = kind or f"one of {', '.join(NETWORKS)}"
+            raise UserError(f"{path} holds {held or 'no grabnet network'}; it must hold {known}.")
+        if hand is not None:
+            check_hand(path, hand)
+        arguments = json.loads(header["sizes"])
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    try:
+        network = NETWORKS[held].rebuild(arguments, tensors, hand)
+    except UserError as error:
+        raise UserError(f"{path} cannot be used: {error}") from None
+    return _filled(network, tensors, path)
 
 
-def load_refinenet(path: str | Path, hand: HandModel) -> RefineNet:
-    """RefineNet in eval mode from a run folder or a `model.safetensors`; `hand` must have its number of vertices."""
-    sizes, tensors = _read(path, "RefineNet")
-    n_vertices = len(tensors["distance_norm.weight"])
-    if n_vertices != len(hand.v_template):
-        raise UserError(f"{path} was trained for a hand of {n_vertices} vertices; this one has {len(hand.v_template)}.")
-    return _filled(RefineNet(hand, **sizes), tensors, path)
+def check_savable(network: SavedNetwork, hand: HandModel) -> None:
+    """Raise a `UserError` where `network` could not be saved and loaded again: before it is trained, not after."""
+    kind = type(network)
+    if NETWORKS.get(kind.__name__) is not kind:
+        raise UserError(
+            f"{kind.__name__} cannot be saved: add it to NETWORKS in grabnet/models/weights.py, which has "
+            f"{', '.join(NETWORKS)}."
+        )
+    tensors = network.state_dict()
+    try:
+        copy = kind.rebuild(json.loads(json.dumps(network.arguments())), tensors, hand)
+        copy.load_state_dict(tensors, strict=True)
+    except (TypeError, ValueError, KeyError, RuntimeError, UserError) as error:
+        reason = " ".join(str(error).split())
+        raise UserError(f"{kind.__name__} cannot be rebuilt from its own arguments() and weights: {reason}") from None
+
+
+def check_hand(path: str | Path, hand: HandModel) -> None:
+    """Raise a `UserError` where the network at `path` is known to have been trained with another hand."""
+    trained_with = read_provenance(path).get("hand_sha256")
+    if trained_with not in (None, sha256(hand.v_template.cpu().numpy())):
+        raise UserError(f"{path} was trained with another hand model: name its file with hand_model=<MANO_RIGHT.npz>.")
 
 
 def read_provenance(path: str | Path) -> dict[str, Any]:
@@ -82,36 +120,15 @@ def weights_file(path: str | Path) -> Path:
     return existing(path / FILE_NAME, "Checkpoint") if path.is_dir() else path
 
 
-def _sizes(network: CoarseNet | RefineNet) -> dict[str, int | float]:
-    if isinstance(network, CoarseNet):
-        first = network.encoder1
-        return {"latent_dim": network.latent_dim, "width": first.fc2.out_features, "n_hidden": first.fc1.out_features}
-    first = network.block1
-    return {
-        "iterations": network.iterations,
-        "width": first.fc2.out_features,
-        "n_hidden": first.fc1.out_features,
-        "dropout": network.dropout.p,
-    }
-
-
 def _opened(path: str | Path) -> safe_open:
     file = weights_file(path)
     try:
         return safe_open(file, "pt")
     except (SafetensorError, OSError) as error:
-        raise UserError(f"{file} is no readable safetensors file ({error}); train it anew.") from None
+        raise UserError(f"{file} is no readable safetensors file ({error}); train it again.") from None
 
 
-def _read(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
-    with _opened(path) as file:
-        header = file.metadata() or {}
-        if header.get("network") != kind:
-            raise UserError(f"{path} holds {header.get('network', 'no grabnet network')}, where {kind} is wanted.")
-        return json.loads(header["sizes"]), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-
-
-def _filled(network: nn.Module, tensors: dict[str, torch.Tensor], path: str | Path) -> Any:
+def _filled(network: SavedNetwork, tensors: Mapping[str, torch.Tensor], path: str | Path) -> SavedNetwork:
     expected = network.state_dict()
     tensors = {k: v.to(expected[k].dtype) if k in expected else v for k, v in tensors.items()}
     try:

@@ -1,4 +1,4 @@
-"""LightningModules: one step of either network or of both, with losses and the errors reported in the paper."""
+"""LightningModules: one training step of each model, with losses and the errors reported in the paper."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ from grabnet.geometry.bps import BPS
 from grabnet.io.files import sha256
 from grabnet.losses.grasp import CoarseNetLoss, RefineNetLoss
 from grabnet.models.coarsenet import CoarseNet
+from grabnet.models.generator import GraspGenerator, SavedNetwork
+from grabnet.models.grabnet import GrabNet
 from grabnet.models.refinenet import RefineNet
-from grabnet.models.trained import check_hand, find_network
-from grabnet.models.weights import load_coarsenet, load_refinenet
+from grabnet.models.trained import find_network
+from grabnet.models.weights import check_hand, load_network
 from grabnet.training.refine_inputs import CoarseNetGuesses
 
 MakeOptimizer = Callable[[Iterable[nn.Parameter]], torch.optim.Optimizer]
@@ -30,7 +32,10 @@ MakeScheduler = Callable[[torch.optim.Optimizer], Any]
 
 
 class GraspTraining(L.LightningModule, ABC):
-    """What training either network shares.
+    """What the training of every model shares.
+
+    A subclass builds its network and says how a batch is reconstructed. Where the network is a `GraspGenerator`, or
+    `generator` makes one of it, grasps are sampled while it trains and with its weights afterwards.
 
     Args:
         network: to train.
@@ -64,9 +69,14 @@ class GraspTraining(L.LightningModule, ABC):
         self._ddp_params_and_buffers_to_ignore = [n for n, _ in self.named_buffers() if not n.startswith("network.")]
 
     @property
-    def networks(self) -> dict[str, nn.Module]:
+    def networks(self) -> dict[str, SavedNetwork]:
         """What to save, by folder within the run's."""
         return {"": self.network}
+
+    @property
+    def generator(self) -> GraspGenerator | None:
+        """The model that samples grasps with these networks; None where they cannot do it alone."""
+        return self.network if isinstance(self.network, GraspGenerator) else None
 
     def configure_optimizers(self) -> dict[str, Any]:
         try:
@@ -87,13 +97,19 @@ class GraspTraining(L.LightningModule, ABC):
             if schedule.reduce_on_plateau and schedule.monitor in self.trainer.callback_metrics:
                 schedule.scheduler.step(self.trainer.callback_metrics[schedule.monitor])
 
-    @abstractmethod
     def grasp(self, batch: GraspBatch) -> Tensor:
-        """Vertices (B, V, 3) of grasps as the network makes them in use, for a batch's objects and hand shapes."""
+        """Vertices (B, V, 3) of grasps as the model makes them in use, for a batch's objects and hand shapes.
+
+        Random numbers are those of torch's global generator.
+        """
+        generator = self.generator
+        noise = torch.randn(len(batch), generator.noise_dim, device=batch.rest.device)
+        hands = generator.sample(generator.encode(batch.objects), batch.objects, noise, batch.rest)
+        return self.hand(hands, batch.rest).vertices
 
     @abstractmethod
-    def reconstruct(self, batch: GraspBatch) -> tuple[Tensor, dict[str, Tensor]]:
-        """Predicted vertices (B, V, 3) and the weighted loss terms of a batch."""
+    def reconstruct(self, batch: GraspBatch) -> tuple[Tensor | None, dict[str, Tensor]]:
+        """Predicted vertices (B, V, 3) of a batch, None for a model that reconstructs none; and weighted loss terms."""
 
     def training_step(self, batch: GraspBatch, batch_idx: int) -> Tensor:
         _, terms = self.reconstruct(batch)
@@ -110,8 +126,9 @@ class GraspTraining(L.LightningModule, ABC):
     def _evaluate(self, stage: str, batch: GraspBatch) -> None:
         vertices, terms = self.reconstruct(batch)
         self._log_terms(stage, terms, torch.stack(list(terms.values())).sum(), batch)
-        for name, value in reconstruction_errors(vertices, batch.vertices).items():
-            self._log(f"{stage}/{name}", value.mean(), batch)
+        if vertices is not None:
+            for name, value in reconstruction_errors(vertices, batch.vertices).items():
+                self._log(f"{stage}/{name}", value.mean(), batch)
 
     def _log_terms(self, stage: str, terms: dict[str, Tensor], loss: Tensor, batch: GraspBatch) -> None:
         for name, value in terms.items():
@@ -159,9 +176,9 @@ class CoarseNetTraining(GraspTraining):
         network = CoarseNet(bps, latent_dim, width, n_hidden, n_joints=len(hand.parents))
         super().__init__(network, loss(hand=hand, contact=contact), hand, optimizer, scheduler, trained={})
 
-    def grasp(self, batch: GraspBatch) -> Tensor:
-        """From random codes."""
-        return self.hand(self.network.sample(batch.features(self.network.bps)), batch.rest).vertices
+    @property
+    def generator(self) -> GrabNet:
+        return GrabNet(self.network)
 
     def reconstruct(self, batch: GraspBatch) -> tuple[Tensor, dict[str, Tensor]]:
         guess, posterior = reconstructed(self.network, batch)
@@ -212,7 +229,7 @@ class RefineNetTraining(GraspTraining):
 
 
 class GrabNetTraining(GraspTraining):
-    """Trains both networks end to end: what RefineNet could not mend is told to CoarseNet, too.
+    """Trains both networks end to end: gradients of RefineNet's loss flow into CoarseNet.
 
     Args:
         hand: the hand model. contact: (V,) share of training frames in which each vertex touches.
@@ -220,6 +237,8 @@ class GrabNetTraining(GraspTraining):
         coarse_loss, refine_loss: make the losses of the guess and of the refined grasp, given hand and contact.
         optimizer, scheduler: as in `GraspTraining`.
     """
+
+    network: GrabNet
 
     def __init__(
         self,
@@ -236,44 +255,33 @@ class GrabNetTraining(GraspTraining):
             "CoarseNet": find_network("CoarseNet", coarsenet),
             "RefineNet": find_network("RefineNet", refinenet),
         }
-        networks = {
-            "coarsenet": load_coarsenet(trained["CoarseNet"]),
-            "refinenet": load_refinenet(trained["RefineNet"], hand),
-        }
+        network = GrabNet(*(load_network(file, hand, kind) for kind, file in trained.items()))
         losses = {
             "coarsenet": coarse_loss(hand=hand, contact=contact),
             "refinenet": refine_loss(hand=hand, contact=contact),
         }
-        network, loss = nn.ModuleDict(networks).train(), nn.ModuleDict(losses)
-        super().__init__(network, loss, hand, optimizer, scheduler, trained)
+        super().__init__(network.train(), nn.ModuleDict(losses), hand, optimizer, scheduler, trained)
 
     @property
-    def networks(self) -> dict[str, nn.Module]:
-        return dict(self.network)
-
-    def grasp(self, batch: GraspBatch) -> Tensor:
-        """From random codes, refined."""
-        coarsenet, refinenet = self.network["coarsenet"], self.network["refinenet"]
-        guess = coarsenet.sample(batch.features(coarsenet.bps))
-        return self.hand(refined(refinenet, guess, batch), batch.rest).vertices
+    def networks(self) -> dict[str, SavedNetwork]:
+        return {"coarsenet": self.network.coarsenet, "refinenet": self.network.refinenet}
 
     def reconstruct(self, batch: GraspBatch) -> tuple[Tensor, dict[str, Tensor]]:
-        coarsenet, refinenet = self.network["coarsenet"], self.network["refinenet"]
-        guess, posterior = reconstructed(coarsenet, batch)
+        guess, posterior = reconstructed(self.network.coarsenet, batch)
         guessed = self.hand(guess, batch.rest).vertices
-        vertices = self.hand(refined(refinenet, guess, batch), batch.rest).vertices
+        vertices = self.hand(refined(self.network.refinenet, guess, batch), batch.rest).vertices
         terms = {f"coarse_{name}": term for name, term in self.loss["coarsenet"](guessed, batch, posterior).items()}
         return vertices, terms | self.loss["refinenet"](vertices, batch)
 
 
 def reconstructed(network: CoarseNet, batch: GraspBatch) -> tuple[HandParameters, Normal]:
     """A batch's hands from CoarseNet's posterior, and that posterior."""
-    return network(batch.features(network.bps), batch.hand.global_orient, batch.hand.transl)
+    return network(network.features(batch.objects), batch.hand.global_orient, batch.hand.transl)
 
 
 def refined(network: RefineNet, guess: HandParameters, batch: GraspBatch) -> HandParameters:
     """What RefineNet makes of guesses at a batch's hands."""
-    return network(guess, batch.measure, batch.rest)
+    return network(guess, batch.objects.distances, batch.rest)
 
 
 def reconstruction_errors(vertices: Tensor, true: Tensor) -> dict[str, Tensor]:

@@ -14,11 +14,11 @@ from lightning.pytorch.loggers import WandbLogger
 from torch import Tensor
 
 from grabnet.body.anatomy import Anatomy
+from grabnet.contact.contacts import Contacts
 from grabnet.data.batches import GraspBatch
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.errors import UserError
 from grabnet.generation.gallery import both_sides
-from grabnet.generation.grasps import Contacts
 from grabnet.training.modules import GraspTraining
 from grabnet.visual.pictures import SKIN, Shape, can_render, contact_sheet, save_image
 
@@ -56,7 +56,7 @@ class GraspMonitor(L.Callback):
         if self.finger is None:
             self.finger = Anatomy.of(data.hand).finger
         contacts = Contacts(
-            distances=batch.object_set.signed_distances(vertices, batch.objects, batch.rotations),
+            distances=batch.objects.signed_distances(vertices),
             finger=self.finger.to(device),
             contact_distance=data.contact_distance,
         )
@@ -69,21 +69,23 @@ class GraspMonitor(L.Callback):
             pl_module.log(f"val_grasps/{name}", values.mean(), batch_size=1, sync_dist=True)  # alike in all processes
         due = (trainer.current_epoch + 1) % self.draw_every_n_epochs == 0
         if due and self.n_pictures and trainer.is_global_zero:
-            self._draw(trainer, batch, vertices, contacts, data.hand.faces)
+            self._draw(trainer, batch, vertices, contacts)
 
-    def _draw(self, trainer: L.Trainer, batch: GraspBatch, vertices: Tensor, contacts: Contacts, faces: Tensor) -> None:
+    def _draw(self, trainer: L.Trainer, batch: GraspBatch, vertices: Tensor, contacts: Contacts) -> None:
         if reason := can_render():
             log.warning(reason)
             self.n_pictures = 0
             return
+        data: GraspDataModule = trainer.datamodule
+        objects, faces = data.assembler.object_set, data.hand.faces
         tiles, captions = [], []
         for k in _evenly(self.n_pictures, len(batch)).tolist():
-            number = int(batch.objects[k])
-            mesh = batch.object_set.meshes[number]
-            solid = (mesh.vertices - mesh.centroid) @ batch.rotations[k].mT.cpu().numpy()
+            number = int(batch.objects.index[k])
+            mesh = objects.meshes[number]
+            solid = (mesh.vertices - mesh.centroid) @ batch.objects.rotations[k].mT.cpu().numpy()
             hand = Shape(vertices[k].cpu(), faces.cpu(), SKIN)
             tiles.append(both_sides(Shape(solid, mesh.faces), hand, np.array([0.0, 0, 1]), np.array([0.0, 1, 0]), 200))
-            captions.append(f"{batch.object_set.names[number]}: {1000 * contacts.max_penetration[k]:.1f} mm deep")
+            captions.append(f"{objects.names[number]}: {1000 * contacts.max_penetration[k]:.1f} mm deep")
         sheet = contact_sheet(tiles, captions)
         save_image(self.folder / f"epoch_{trainer.current_epoch:04d}.png", sheet)
         for logger in trainer.loggers:

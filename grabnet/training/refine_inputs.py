@@ -7,7 +7,7 @@ import torch
 from grabnet.body.hand import HandParameters
 from grabnet.data.batches import GraspBatch
 from grabnet.errors import UserError
-from grabnet.models.weights import load_coarsenet, weights_file
+from grabnet.models.weights import load_network, weights_file
 
 
 class CoarseNetGuesses:
@@ -21,15 +21,15 @@ class CoarseNetGuesses:
     def __init__(self, coarsenet: str, spread: float = 1.0):
         try:
             self.file, self.spread = weights_file(coarsenet), spread
-            self.network = load_coarsenet(self.file)
+            self.network = load_network(self.file, kind="CoarseNet")
         except UserError as error:  # the path may be a config's default
             raise UserError(f"model.source.coarsenet=<run folder or weights file>: {error}") from None
 
     @torch.no_grad()
     def __call__(self, batch: GraspBatch) -> HandParameters:
         """Hands (B), from torch's global generator."""
-        network = self.network.to(batch.rotations.device)
-        features = batch.features(network.bps)
+        network = self.network.to(batch.rest.device)
+        features = network.features(batch.objects)
         posterior = network.encode(features, batch.hand.global_orient, batch.hand.transl)
         latent = posterior.mean + self.spread * posterior.stddev * torch.randn_like(posterior.mean)
         return network.decode(latent, features)

@@ -34,6 +34,7 @@ from grabnet.training.checkpoints import BEST, AtomicCheckpointIO, newest_whole,
 from grabnet.training.history import History, best_epoch
 from grabnet.training.modules import GraspTraining
 from grabnet.training.processes import OwnProcesses, started_from_outside, together
+from grabnet.training.rehearsal import rehearse
 
 log = logging.getLogger(__name__)
 
@@ -92,6 +93,7 @@ def _fit(
     """Each process's part, once the data is there."""
     L.seed_everything(cfg.seed, verbose=False)
     module: GraspTraining = instantiate(cfg.model, hand=data.hand, contact=data.contact)
+    rehearse(module, data)
     if cfg.compile:
         compile_blocks(module.network)
     checkpoints = run_dir / "checkpoints"

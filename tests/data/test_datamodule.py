@@ -47,7 +47,7 @@ def test_distances_are_those_to_the_mesh(data, tiny_dataset):
         world = rotation.inv().apply(batch.vertices[k].numpy()) + mesh.vertices.mean(0)
         exact = MeshQuery(mesh).signed_distance(torch.as_tensor(world, dtype=torch.float32))
         assert (batch.distances[k] - exact).abs().mean() < 2e-4
-        torch.testing.assert_close(batch.measure(batch.vertices)[k], batch.distances[k], atol=1e-4, rtol=1e-3)
+        torch.testing.assert_close(batch.objects.distances(batch.vertices)[k], batch.distances[k], atol=1e-4, rtol=1e-3)
 
 
 def test_distances_may_be_to_the_samples_as_published(tiny_dataset, hand, cache_dir):
@@ -56,9 +56,9 @@ def test_distances_may_be_to_the_samples_as_published(tiny_dataset, hand, cache_
     data.setup()
     batch = data.assemble("train", torch.arange(3), turn=True)
     for k in range(3):
-        samples = batch.object_set.points[batch.objects[k]] @ batch.rotations[k].mT
+        samples = data.assembler.object_set.points[batch.objects.index[k]] @ batch.objects.rotations[k].mT
         expected, _ = cKDTree(samples.numpy()).query(batch.vertices[k].numpy())
-        for found in (batch.distances[k], batch.measure(batch.vertices)[k]):
+        for found in (batch.distances[k], batch.objects.distances(batch.vertices)[k]):
             torch.testing.assert_close(found.double(), torch.from_numpy(expected), atol=1e-4, rtol=1e-3)
     with pytest.raises(UserError, match=r"data\.measure is 'meters'"):
         GraspDataModule(hand, str(tiny_dataset), **SPLIT, **(settings | {"measure": "meters"})).setup()
@@ -66,7 +66,7 @@ def test_distances_may_be_to_the_samples_as_published(tiny_dataset, hand, cache_
 
 def test_points_are_the_nearest_and_their_distances_exact(data):
     batch = data.assemble("train", torch.arange(5))
-    candidates = data.assembler.object_set.points[batch.objects] @ batch.rotations.mT
+    candidates = data.assembler.object_set.points[batch.objects.index] @ batch.objects.rotations.mT
     for k in range(5):
         tree = cKDTree(batch.vertices[k].numpy())
         distance, _ = tree.query(candidates[k].numpy())
@@ -80,7 +80,9 @@ def test_all_points_where_as_many_are_wanted(tiny_dataset, hand, cache_dir):
     data = GraspDataModule(hand, str(tiny_dataset), **SPLIT, **settings)
     data.setup()
     batch = data.assemble("train", torch.arange(5))
-    torch.testing.assert_close(batch.points, data.assembler.object_set.points[batch.objects] @ batch.rotations.mT)
+    torch.testing.assert_close(
+        batch.points, data.assembler.object_set.points[batch.objects.index] @ batch.objects.rotations.mT
+    )
     for points, vertices, distances in zip(batch.points, batch.vertices, batch.point_distances, strict=True):
         expected, _ = cKDTree(vertices.numpy()).query(points.numpy())
         assert abs(distances.abs().numpy() - expected).max() < 1e-4
@@ -92,7 +94,7 @@ def test_turning_about_the_vertical_changes_no_distance(data):
     still, turned = data.assemble("train", index), data.assemble("train", index, turn=True)
     assert (still.vertices - turned.vertices).abs().max() > 0.05
     torch.testing.assert_close(still.vertices[..., 2], turned.vertices[..., 2])
-    torch.testing.assert_close(turned.measure(turned.vertices), still.distances, atol=2e-4, rtol=0)
+    torch.testing.assert_close(turned.objects.distances(turned.vertices), still.distances, atol=2e-4, rtol=0)
     assert torch.equal(turned.distances, still.distances)
     reposed = data.hand(HandParameters(*turned.hand), turned.rest).vertices
     torch.testing.assert_close(reposed, turned.vertices, atol=1e-5, rtol=0)

@@ -30,8 +30,8 @@ from grabnet.models.weights import save_network
 @pytest.fixture(scope="module")
 def runs(grabber, tmp_path_factory) -> Path:
     runs = tmp_path_factory.mktemp("runs")
-    save_network(runs / "coarse" / "model.safetensors", grabber.coarsenet, {})
-    save_network(runs / "fine" / "model.safetensors", grabber.refinenet, {})
+    save_network(runs / "coarse" / "model.safetensors", grabber.generator.coarsenet, {})
+    save_network(runs / "fine" / "model.safetensors", grabber.generator.refinenet, {})
     return runs
 
 
@@ -44,7 +44,12 @@ def call(runs, tiny_dataset, cache_dir, tmp_path_factory):
         few = ["n=4", "halo_samples=3", "draws=50", "pictures=0", "scenes=1", "processes=1", "reconstruction=false"]
         few.append("simulated=0")
         data = [f"data.root={tiny_dataset}", "data.val_objects=[can]", "data.test_objects=[ring]"]
-        places = [f"runs={runs}", f"cache_dir={cache_dir}", f"data.cache_dir={cache_dir}", f"output={output}"]
+        few += ["models=[newest]", f"runs={runs}"]
+        places = [
+            f"cache_dir={cache_dir}",
+            f"data.cache_dir={cache_dir}",
+            f"output={output}",
+        ]
         cfg = compose("evaluate", ["data=frames", *data, "data.near_points=32", *few, *places, *overrides])
         try:
             evaluate(instantiate(cfg, _convert_="object"))
@@ -106,9 +111,9 @@ def test_tables_hold_every_row_and_protocol(folder):
     assert found["metrics"]["penetration/max"]["values"]["CoarseNet"]["ring"]["n"] == 4
     # The baseline's hands are training hands.
     assert found["metrics"]["novelty/distance"]["values"]["Naive baseline"]["all"]["value"] < 1e-4
-    for name in ("coarsenet", "refinenet"):
-        file = Path(found["networks"][name]["file"])
-        assert found["networks"][name]["sha256"] == sha256(file)
+    assert found["models"]["newest"].keys() == {"CoarseNet", "RefineNet"}
+    for network in found["models"]["newest"].values():
+        assert network["sha256"] == sha256(Path(network["file"]))
 
 
 def test_csv_and_latex_say_what_json_says(folder):
@@ -185,7 +190,7 @@ def test_reconstruction_is_what_a_training_run_tells(folder, runs, tiny_dataset,
 
     from grabnet.data.datamodule import GraspDataModule
     from grabnet.models.trained import find_network
-    from grabnet.models.weights import load_coarsenet, load_refinenet
+    from grabnet.models.weights import load_network
 
     cfg = compose(
         "train",
@@ -202,12 +207,9 @@ def test_reconstruction_is_what_a_training_run_tells(folder, runs, tiny_dataset,
     data: GraspDataModule = instantiate(cfg.data, hand=HandModel.open())
     data.setup()
     errors = {(e["network"], e["split"], e["object"]): e for e in results(folder)["reconstruction"]}
-    for kind, model, load in (
-        ("CoarseNet", cfg.model, lambda path: load_coarsenet(path)),
-        ("RefineNet", compose("train", ["model=refinenet"]).model, lambda path: load_refinenet(path, data.hand)),
-    ):
+    for kind, model in (("CoarseNet", cfg.model), ("RefineNet", compose("train", ["model=refinenet"]).model)):
         module = instantiate(model, hand=data.hand, contact=data.contact)
-        module.network = load(find_network(kind, None, runs))
+        module.network = load_network(find_network(kind, None, runs), data.hand, kind)
         trainer = L.Trainer(logger=False, enable_progress_bar=False, accelerator="cpu", default_root_dir=tmp_path)
         trainer.test(module, datamodule=data, verbose=False)
         for split in ("train", "val", "test"):
@@ -324,7 +326,7 @@ def test_grasps_for_another_mesh_are_refused(call, made):
         ("n=0", "at least 1"),
         ("split=tests", "it can be train, val, test"),
         ("only=[mug]", "only names mug; the test objects are ring"),
-        ("refinenet=anywhere", "without coarsenet"),
+        ("models=[anywhere]", "anywhere does not exist"),
         ("contact_distance=0", "must be positive"),
     ],
 )

@@ -8,7 +8,8 @@ import trimesh
 from PIL import Image
 
 from grabnet.body.hand import OPEN_HANDS, HandModel, HandParameters
-from grabnet.generation.export import FORMATS, result_folders, write_grasps
+from grabnet.generation.export import result_folders, write_grasps
+from grabnet.generation.formats import FORMATS
 from grabnet.generation.grasps import Grasps
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from grabnet.body.anatomy import FINGERS
 from grabnet.body.hand import HandParameters
+from grabnet.contact.contacts import Contacts
 from grabnet.generation.grasps import Grasps
 from grabnet.geometry.mesh import Mesh
 
@@ -26,8 +27,7 @@ def made_of(distances: torch.Tensor, finger: torch.Tensor, to_object: np.ndarray
         object_transform=torch.eye(4).expand(n, 4, 4),
         vertices=torch.zeros(n, v, 3),
         faces=torch.tensor([[0, 1, 2]]),
-        finger=finger,
-        distances=distances,
+        contacts=Contacts(distances=distances, finger=finger),
     )
 
 
@@ -83,5 +83,5 @@ def test_a_grasp_wants_the_thumb_and_another_finger():
         [[near, far, near, far], [far, near, near, near], [near, far, far, near], [-0.02, far, -0.01, 0]]
     )
     grasps = made_of(distances, torch.tensor([0, 1, 4, -1]))
-    assert grasps.pinched.tolist() == [True, False, False, True]
+    assert grasps.contacts.pinched.tolist() == [True, False, False, True]
     assert "touch in 50%, deepest penetration 5.0 mm" in grasps.summary()

@@ -13,7 +13,8 @@ from omegaconf import OmegaConf
 
 from grabnet.cli.entry import CONFIGS
 from grabnet.errors import UserError
-from grabnet.generation.run import Sampling, sample
+from grabnet.generation.config import SamplingConfig
+from grabnet.generation.run import run as sample
 from grabnet.io.files import sha256
 from grabnet.io.npz import read_npz
 from grabnet.models.weights import save_network
@@ -24,21 +25,21 @@ SCRIPT = CONFIGS.parent / "scripts" / "sample.py"
 @pytest.fixture(scope="module")
 def runs(grabber, tmp_path_factory) -> Path:
     runs = tmp_path_factory.mktemp("runs")
-    save_network(runs / "coarse" / "model.safetensors", grabber.coarsenet, {})
-    save_network(runs / "fine" / "model.safetensors", grabber.refinenet, {})
+    save_network(runs / "coarse" / "model.safetensors", grabber.generator.coarsenet, {})
+    save_network(runs / "fine" / "model.safetensors", grabber.generator.refinenet, {})
     return runs
 
 
 @pytest.fixture
 def call(runs, cache_dir, tmp_path):
     """Sample with the config's own values, but for a few grasps and those given."""
-    config = OmegaConf.to_container(OmegaConf.load(CONFIGS / "sample.yaml"))
+    config = OmegaConf.to_container(OmegaConf.load(CONFIGS / "sample" / "sample.yaml"))
     defaults = {k: v for k, v in config.items() if k not in ("_target_", "defaults", "hydra")}
-    few = {"n": 2, "runs": str(runs), "cache_dir": str(cache_dir), "output": str(tmp_path / "out")}
+    few = {"n": 2, "model": "newest", "runs": str(runs), "cache_dir": str(cache_dir), "output": str(tmp_path / "out")}
     quick = {"sheet": 0, "page": 0, "format": None, "batch_size": 4}
 
     def call(**values) -> int:
-        return sample(Sampling(**(defaults | few | quick | values)))
+        return sample(SamplingConfig(**(defaults | few | quick | values)))
 
     return call
 
@@ -75,8 +76,9 @@ def test_json_says_what_was_made_with_what(call, folder, runs, tmp_path):
     call(mesh=str(folder / "c.glb"), seed=11)
     record = results(tmp_path / "out", "c")
     assert record["mesh_sha256"] == sha256(folder / "c.glb")
-    assert record["coarsenet_sha256"] == sha256(runs / "coarse" / "model.safetensors")
-    assert record["refinenet_sha256"] == sha256(runs / "fine" / "model.safetensors")
+    for kind, name in {"CoarseNet": "coarse", "RefineNet": "fine"}.items():
+        file = runs / name / "model.safetensors"
+        assert record["networks"][kind] == {"file": str(file), "sha256": sha256(file)}
     assert record["config"]["seed"] == 11
     assert record["provenance"]["versions"]["torch"]
     assert [g["seed"] for g in record["grasps"]] == [11, 11]
@@ -112,7 +114,7 @@ def test_bad_meshes_are_told_and_the_others_run(call, folder, tmp_path, capsys):
     (folder / "really_png.stl").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(200))
     bad = ["empty.obj", "points.obj", "nan.obj", "flat.obj", "really_png.stl"]
     named = [*(str(folder / b) for b in bad), str(folder / "gone.ply"), str(folder / "other"), str(folder / "d.stl")]
-    assert call(mesh=named) == 6
+    assert call(mesh=named) == 1
     told = capsys.readouterr().err.splitlines()
     assert len(told) == 6
     for name in [*bad, "gone.ply"]:
@@ -135,8 +137,8 @@ def test_output_that_cannot_be_written_is_told(call, folder, tmp_path, capsys):
 
 def test_without_refinenet(call, folder, tmp_path, capsys):
     assert call(mesh=str(folder / "ball.obj"), refine=False, betas=[1, -0.5]) == 0
-    assert "refinenet:" not in capsys.readouterr().out
-    assert "refinenet_sha256" not in results(tmp_path / "out", "ball")
+    assert "RefineNet:" not in capsys.readouterr().out
+    assert results(tmp_path / "out", "ball")["networks"].keys() == {"CoarseNet"}
 
 
 @pytest.mark.parametrize(
@@ -148,11 +150,13 @@ def test_without_refinenet(call, folder, tmp_path, capsys):
         ({"scale": float("nan")}, "scale is nan"),
         ({"hand": "both"}, "right, left"),
         ({"orientation": "up"}, "upright, fixed, random"),
-        ({"up": "w"}, "x, y, z"),
+        ({"up": "w"}, "x, y or z"),
         ({"format": ["glb", "fbx"]}, "glb, ply, npz"),
         ({"betas": [0.0] * 11}, "betas has 11 values"),
         ({"betas": [1, "big"]}, "betas holds 'big'"),
-        ({"coarsenet": "/nowhere"}, "does not exist"),
+        ({"model": "/nowhere"}, "does not exist"),
+        ({"device": "tpu"}, "auto, cpu, cuda"),
+        ({"contact_distance": 0.0}, "must be positive"),
     ],
 )
 def test_wrong_values_are_told(call, folder, values, said):
@@ -180,7 +184,7 @@ def test_the_command_where_there_is_no_opengl(folder, runs, cache_dir, tmp_path)
         cwd=folder,
         env=hidden,
     )
-    assert done.returncode == 2
+    assert done.returncode == 1
     assert done.stderr.count("\n") == 1
     assert "gone.obj does not exist" in done.stderr
     assert done.stdout.count("No pictures are drawn") == 1

@@ -8,6 +8,7 @@ from scipy.stats import kstest
 
 from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.bps import BPS
+from grabnet.geometry.placed import PlacedObjects
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.rotations import random_rotations
 from grabnet.geometry.sdf_grid import SDFGrid
@@ -95,7 +96,7 @@ def test_features_from_the_atlas_agree_with_exact_ones():
     objects = torch.tensor([2, 0, 1, 1, 0, 2])
     rotations = random_rotations(6, torch.Generator().manual_seed(0))
     centroids = torch.tensor(np.stack([meshes[o].centroid for o in objects]))
-    found = bps.from_atlas(atlas, objects, rotations, centroids)
+    found = PlacedObjects(atlas, objects, rotations, centroids).basis_distances(bps.basis)
     queries = [MeshQuery(mesh) for mesh in meshes]
     exact = torch.stack([bps.from_mesh(queries[o], rotations[i], centroids[i]) for i, o in enumerate(objects)])
     error = (found - exact).abs()

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from grabnet.errors import UserError
-from grabnet.geometry.mesh import Mesh, check_size, file_to_object, load_mesh, save_mesh
+from grabnet.geometry.mesh import Mesh, load_mesh, save_mesh
 from tests.geometry.shapes import box, cup, sphere, torus
 
 FORMATS = ["obj", "ply", "stl", "off", "glb"]
@@ -112,41 +112,6 @@ def test_too_many_faces_are_refused(tmp_path):
     (tmp_path / "a.stl").write_bytes(bytes(80) + np.uint32(n).tobytes() + records.tobytes())
     with pytest.raises(UserError, match="has 2,000,001 faces; simplify"):
         load_mesh(tmp_path / "a.stl")
-
-
-@pytest.mark.parametrize(
-    ("side", "remedy"),
-    [
-        (95.0, r"larger than 40 cm when read as metres: pass scale=0\.001 .* or max_size=95 if it is so\."),
-        (9.5, r"scale=0\.01 if it is in centimetres or scale=0\.0254 if it is in inches"),
-        (0.0001, r"smaller than 1 cm .* scale=<metres per unit"),
-    ],
-)
-def test_sizes_no_hand_takes_are_refused_with_a_scale(side, remedy):
-    with pytest.raises(UserError, match=remedy):
-        check_size(box((side, side / 2, side / 3)), "mug.obj")
-
-
-def test_sizes_a_hand_takes_pass():
-    check_size(box((0.011, 0.001, 0.001)), "pin")
-    check_size(box((0.39, 0.1, 0.1)), "pan")
-    check_size(box((0.7, 0.1, 0.1)), "broom", largest=0.71)
-
-
-@pytest.mark.parametrize(
-    ("name", "up", "expected"),
-    [("a.obj", None, "z"), ("a.GLB", None, "y"), ("a.gltf", None, "y"), ("a.glb", "z", "z"), ("a.ply", "x", "x")],
-)
-def test_the_up_axis_becomes_z_in_metres(name, up, expected):
-    matrix = file_to_object(name, 0.001, up)
-    np.testing.assert_allclose(matrix[:3, :3] @ np.eye(3)["xyz".index(expected)], [0, 0, 0.001], atol=1e-12)
-    np.testing.assert_allclose(matrix[:3, :3] @ matrix[:3, :3].T, 1e-6 * np.eye(3), atol=1e-15)
-    assert np.linalg.det(matrix) > 0  # a mirror image would make left hands of right ones
-
-
-def test_an_axis_that_is_none_is_refused():
-    with pytest.raises(UserError, match="up=w is no axis"):
-        file_to_object("a.obj", up="w")
 
 
 def test_equal_geometry_has_an_equal_hash_and_no_other():

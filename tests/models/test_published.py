@@ -16,7 +16,7 @@ from grabnet.errors import UserError
 from grabnet.geometry.rotations import random_rotations
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet
-from grabnet.models.weights import load_coarsenet, load_refinenet
+from grabnet.models.weights import load_network
 
 SCRIPT = CONFIGS.parent / "scripts" / "import_checkpoint.py"
 # Small, but each size its own, so that none can stand for another.
@@ -217,11 +217,11 @@ def test_imported_networks_are_loaded_as_our_own(tmp_path, hand):
     assert (done.returncode, done.stderr) == (0, "")
     run("refinenet", fine, "--hand-model", OPEN_HANDS / "MANO_RIGHT.npz", "--output", here["refinenet"])
 
-    loaded = load_coarsenet(here["coarsenet"].parent)
+    loaded = load_network(here["coarsenet"].parent, kind="CoarseNet")
     np.testing.assert_array_equal(loaded.bps.basis, basis[0])
     for ours, source in (
         (loaded, CoarseNet.from_published(coarse, tmp_path / "bps.npz")),
-        (load_refinenet(here["refinenet"], hand), RefineNet.from_published(fine, hand)),
+        (load_network(here["refinenet"], hand, "RefineNet"), RefineNet.from_published(fine, hand)),
     ):
         expected = source.state_dict()
         assert ours.state_dict().keys() == expected.keys()

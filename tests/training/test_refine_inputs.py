@@ -36,7 +36,7 @@ def test_guesses_are_reconstructions_spread_as_asked(batch, tmp_path):
     torch.manual_seed(0)
     network = CoarseNet(BPS(64), latent_dim=4, width=32, n_hidden=16).eval()
     save_network(tmp_path / "model.safetensors", network, {})
-    features = batch.features(network.bps)
+    features = network.features(batch.objects)
     with torch.no_grad():
         expected, _ = network(
             features, batch.hand.global_orient, batch.hand.transl

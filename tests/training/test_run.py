@@ -19,7 +19,7 @@ from grabnet.io.files import sha256
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet
 from grabnet.models.trained import find_network
-from grabnet.models.weights import load_coarsenet, load_refinenet, read_provenance, save_network
+from grabnet.models.weights import load_network, read_provenance, save_network
 from grabnet.training.checkpoints import newest_whole, read_checkpoint
 from grabnet.training.history import read_history
 from grabnet.training.run import train
@@ -42,7 +42,7 @@ def test_a_run_leaves_all_its_records(model, tiny_dataset, tmp_path, cache_dir, 
     assert record["seed"] == 0 and record["config"]["model"]["width"] == 32
     assert record["data"]["frames"] == {"train": 96, "val": 48, "test": 48}
     assert json.loads((tmp_path / "metrics.json").read_text()) == metrics
-    network = load_coarsenet(tmp_path) if model == "coarsenet" else load_refinenet(tmp_path, hand)
+    network = load_network(tmp_path, hand)
     best = read_checkpoint(tmp_path / "checkpoints/best.ckpt")["state_dict"]
     for name, value in network.state_dict().items():
         torch.testing.assert_close(value, best[f"network.{name}"])
@@ -111,11 +111,11 @@ def test_both_networks_go_on_end_to_end_from_trained_ones(tiny_dataset, tmp_path
         file = tmp_path / name / "model.safetensors"
         assert record[kind] == {"file": str(file), "sha256": sha256(file)}
         assert find_network(kind, None, tmp_path) == file
-    for name, load in (("coarsenet", load_coarsenet), ("refinenet", lambda path: load_refinenet(path, hand))):
-        before, after = load(tmp_path / name), load(tmp_path / "both" / name)
+    for name in ("coarsenet", "refinenet"):
+        before, after = (load_network(folder / name, hand) for folder in (tmp_path, tmp_path / "both"))
         assert any(not torch.equal(a, b) for a, b in zip(before.parameters(), after.parameters(), strict=True))
     file = tmp_path / "coarsenet/model.safetensors"
-    save_network(file, load_coarsenet(file), {"hand_sha256": "0" * 64})
+    save_network(file, load_network(file, kind="CoarseNet"), {"hand_sha256": "0" * 64})
     guesses = ["model=refinenet", "source@model.source=coarsenet", f"model.source.coarsenet={file}"]
     for more in (start, guesses):
         with pytest.raises(InstantiationException) as told:
@@ -138,8 +138,8 @@ def test_a_run_killed_again_and_again_ends_as_if_nothing_had_happened(tiny_datas
         reached.append(read_checkpoint(newest_whole(broken / "checkpoints"))["global_step"])
     assert 0 < reached[0] < reached[1] < reached[2] < 14 * 3
     assert finish(arguments[1], output) == 0, output.read_text()
-    weights = load_coarsenet(broken).state_dict()
-    for name, value in load_coarsenet(unbroken).state_dict().items():
+    weights = load_network(broken, kind="CoarseNet").state_dict()
+    for name, value in load_network(unbroken, kind="CoarseNet").state_dict().items():
         torch.testing.assert_close(weights[name], value, rtol=0, atol=0)
     assert [epoch["epoch"] for epoch in read_history(broken)] == list(range(14))
 
@@ -150,12 +150,12 @@ def test_a_run_that_had_stopped_early_is_over(tiny_dataset, tmp_path, cache_dir)
     overrides = tiny_overrides(tiny_dataset, tmp_path, cache_dir, "coarsenet", *more)
     metrics, epochs = train(compose("train", overrides)), read_history(tmp_path)
     assert len(epochs) < 50
-    weights = load_coarsenet(tmp_path).state_dict()
+    weights = load_network(tmp_path, kind="CoarseNet").state_dict()
     for name in ("metrics.json", "model.safetensors"):
         (tmp_path / name).unlink()
     assert train(compose("train", overrides)) == metrics
     assert read_history(tmp_path) == epochs
-    for name, value in load_coarsenet(tmp_path).state_dict().items():
+    for name, value in load_network(tmp_path, kind="CoarseNet").state_dict().items():
         assert torch.equal(weights[name], value), name
 
 
@@ -176,7 +176,7 @@ def test_a_run_goes_on_with_the_settings_it_began_with(tiny_dataset, tmp_path, c
     with pytest.raises(UserError, match=r"provenance\.json is missing, damaged or of an older version .*resume=false"):
         run("trainer.max_epochs=3")
     run("trainer.max_epochs=1", "model.width=16", "resume=false")
-    assert load_coarsenet(tmp_path).pose.in_features == 16
+    assert load_network(tmp_path, kind="CoarseNet").pose.in_features == 16
 
 
 def test_a_run_without_time_for_an_epoch_says_so(tiny_dataset, tmp_path, cache_dir):

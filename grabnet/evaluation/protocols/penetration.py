@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from grabnet.contact.contacts import DEFINITIONS, Contacts
 from grabnet.evaluation.metrics import Metric
 from grabnet.evaluation.scene import Scene
-from grabnet.generation.grasps import DEFINITIONS, Contacts
 
 
 class Penetration:
-    """Depth of the deepest hand vertex, and mean depth over those inside; mm, 0 where none is (`grasps.Contacts`)."""
+    """Depth of the deepest hand vertex, and mean depth over those inside; mm, 0 where none is (`contact.Contacts`)."""
 
     name = "penetration"
     settings = ""

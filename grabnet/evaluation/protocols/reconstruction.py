@@ -7,7 +7,8 @@ mends a disturbed copy of it. Means are over all frames of a split or of one of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -17,8 +18,7 @@ from rich.progress import track
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.data.batches import GraspBatch
 from grabnet.data.datamodule import SPLITS, GraspDataModule
-from grabnet.models.coarsenet import CoarseNet
-from grabnet.models.refinenet import RefineNet
+from grabnet.models.weights import load_network
 from grabnet.training.modules import reconstructed, reconstruction_errors, refined
 
 
@@ -37,25 +37,25 @@ class Errors(NamedTuple):
 def reconstruction(
     data: GraspDataModule,
     hand: HandModel,
-    coarsenet: CoarseNet,
-    refinenet: RefineNet | None,
+    files: Mapping[str, Path],
     source: Callable[[GraspBatch], HandParameters],
 ) -> Iterator[Errors]:
-    """Errors of both networks on every split and object.
+    """Errors of each network that gives true grasps back, on every split and object.
 
     Args:
         data: set up, without a trainer. Its batches seed the disturbances, so that the figures are those of a training
             run's own test.
+        hand: the hand model.
+        files: weights of the networks, by kind.
         source: a batch → disturbed copies of its hands, which RefineNet starts from.
     """
-
-    def coarse(batch: GraspBatch) -> HandParameters:
-        return reconstructed(coarsenet, batch)[0]
-
-    def fine(batch: GraspBatch) -> HandParameters:
-        return refined(refinenet, source(batch), batch)
-
-    networks = {"CoarseNet": coarse} | ({"RefineNet": fine} if refinenet is not None else {})
+    networks: dict[str, Callable[[GraspBatch], HandParameters]] = {}
+    if "CoarseNet" in files:
+        coarsenet = load_network(files["CoarseNet"], hand, "CoarseNet")
+        networks["CoarseNet"] = lambda batch: reconstructed(coarsenet, batch)[0]
+    if "RefineNet" in files:
+        refinenet = load_network(files["RefineNet"], hand, "RefineNet")
+        networks["RefineNet"] = lambda batch: refined(refinenet, source(batch), batch)
     for split in SPLITS:
         errors: dict[str, list[np.ndarray]] = {name: [] for name in networks}
         objects = []

@@ -1,0 +1,114 @@
+"""The mesh of an object to grasp, and how its file's frame and units become metres with z up."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from grabnet.errors import UserError
+from grabnet.geometry.mesh import Mesh, load_mesh
+
+# The axis that points up, where a format's specification says so; every other file is taken as z-up.
+FORMAT_UP = {".gltf": "y", ".glb": "y"}
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectMesh:
+    """A mesh in its own frame and units, and the way from there to metres.
+
+    Attributes:
+        mesh: as in its file.
+        to_object: (4, 4) float64 similarity from the mesh's frame and units to metres, z up.
+    """
+
+    mesh: Mesh
+    to_object: np.ndarray
+
+    @cached_property
+    def solid(self) -> Mesh:
+        """The mesh in metres, z up."""
+        return self.mesh.transformed(self.to_object)
+
+    @property
+    def metres_per_unit(self) -> float:
+        return float(np.linalg.det(self.to_object[:3, :3]) ** (1 / 3))
+
+
+def load_object(
+    mesh: Mesh | str | Path,
+    scale: float = 1.0,
+    up: str | None = None,
+    max_size: float = 0.4,
+    min_size: float = 0.01,
+    to_object: np.ndarray | None = None,
+) -> ObjectMesh:
+    """An object to grasp, from a mesh or from the file of one.
+
+    Args:
+        mesh: the mesh, or an obj, ply, stl, off, glb or gltf file.
+        scale: metres per unit of the mesh: 0.001 for millimetres.
+        up: the axis of the mesh that points up, "x", "y" or "z"; when omitted, y for a glTF file as its specification
+            has it, else z.
+        max_size: metres, of the longest side; a larger object is probably in other units, and is refused.
+        min_size: metres, likewise.
+        to_object: (4, 4) from the mesh's frame and units to metres, z up, in place of scale and up.
+
+    Raises:
+        UserError: an unreadable file, an unknown axis, or a size out of bounds.
+    """
+    name = "The mesh" if isinstance(mesh, Mesh) else mesh
+    if to_object is None:
+        to_object = file_to_object("" if isinstance(mesh, Mesh) else mesh, scale, up)
+    loaded = ObjectMesh(mesh if isinstance(mesh, Mesh) else load_mesh(mesh), np.asarray(to_object, np.float64))
+    check_size(loaded.solid, name, max_size, min_size)
+    return loaded
+
+
+def file_to_object(path: str | Path, scale: float = 1.0, up: str | None = None) -> np.ndarray:
+    """(4, 4) matrix from the file's frame and units to the object frame, metres and z up.
+
+    Args:
+        scale: metres per unit of the file.
+        up: the file's axis that points up, "x", "y" or "z"; when omitted, y for glTF by its specification, else z.
+
+    Raises:
+        UserError: a scale that is no positive number, or an unknown axis.
+    """
+    if not (math.isfinite(scale) and scale > 0):
+        raise UserError(f"scale is {scale}; it must be a positive number of metres per unit of the mesh.")
+    up = up or FORMAT_UP.get(Path(path).suffix.lower(), "z")
+    if up not in ("x", "y", "z"):
+        raise UserError(f"up is '{up}'; it can be x, y or z.")
+    matrix = np.eye(4)
+    # A cyclic exchange would carry up to z too, but the least turn keeps the remaining axis where it was.
+    matrix[:3, :3] = {
+        "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+        "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+        "z": np.eye(3),
+    }[up]
+    matrix[:3, :3] *= scale
+    return matrix
+
+
+def check_size(mesh: Mesh, name: str | Path, largest: float = 0.4, smallest: float = 0.01) -> None:
+    """Raise a `UserError` suggesting `scale=` where the largest side of a mesh, in metres, is beyond these bounds.
+
+    Args:
+        largest, smallest: metres; most meshes beyond them are in other units, and no hand takes the rest.
+    """
+    side = float(mesh.extents.max())
+    if smallest <= side <= largest:
+        return
+    units = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "decimetres": 0.1}
+    fits = {unit: factor for unit, factor in units.items() if 0.02 <= side * factor <= largest}
+    fitting = [f"scale={factor} if it is in {unit}" for unit, factor in fits.items()]
+    remedy = " or ".join(fitting) if fitting else "scale=<metres per unit of the file>"
+    bound = f"larger than {largest * 100:g} cm" if side > largest else f"smaller than {smallest * 100:g} cm"
+    own = f"max_size={math.ceil(100 * side) / 100:g}" if side > largest else "min_size=0"
+    raise UserError(
+        f"{name} has a largest side of {side:.4g}, {bound} when read as metres: pass {remedy}, or {own} if it is so."
+    )

@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+import trimesh
+
+from grabnet.errors import UserError
+from grabnet.geometry.mesh import load_mesh
+from grabnet.geometry.object_mesh import check_size, file_to_object, load_object
+from tests.geometry.shapes import box
+
+
+@pytest.mark.parametrize(
+    ("side", "remedy"),
+    [
+        (95.0, r"larger than 40 cm when read as metres: pass scale=0\.001 .* or max_size=95 if it is so\."),
+        (9.5, r"scale=0\.01 if it is in centimetres or scale=0\.0254 if it is in inches"),
+        (0.0001, r"smaller than 1 cm .* scale=<metres per unit"),
+    ],
+)
+def test_sizes_no_hand_takes_are_refused_with_a_scale(side, remedy):
+    with pytest.raises(UserError, match=remedy):
+        check_size(box((side, side / 2, side / 3)), "mug.obj")
+
+
+def test_sizes_a_hand_takes_pass():
+    check_size(box((0.011, 0.001, 0.001)), "pin")
+    check_size(box((0.39, 0.1, 0.1)), "pan")
+    check_size(box((0.7, 0.1, 0.1)), "broom", largest=0.71)
+
+
+@pytest.mark.parametrize(
+    ("name", "up", "expected"),
+    [("a.obj", None, "z"), ("a.GLB", None, "y"), ("a.gltf", None, "y"), ("a.glb", "z", "z"), ("a.ply", "x", "x")],
+)
+def test_the_up_axis_becomes_z_in_metres(name, up, expected):
+    matrix = file_to_object(name, 0.001, up)
+    np.testing.assert_allclose(matrix[:3, :3] @ np.eye(3)["xyz".index(expected)], [0, 0, 0.001], atol=1e-12)
+    np.testing.assert_allclose(matrix[:3, :3] @ matrix[:3, :3].T, 1e-6 * np.eye(3), atol=1e-15)
+    assert np.linalg.det(matrix) > 0  # a mirror image would make left hands of right ones
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_scale_must_be_a_positive_number(scale):
+    with pytest.raises(UserError, match="positive number of metres per unit"):
+        file_to_object("a.obj", scale)
+
+
+def test_an_axis_that_is_none_is_refused():
+    with pytest.raises(UserError, match="up is 'w'; it can be x, y or z"):
+        file_to_object("a.obj", up="w")
+
+
+def test_a_file_and_its_mesh_are_the_same_object(tmp_path):
+    path = tmp_path / "bar.glb"
+    trimesh.creation.box((20, 70, 30)).export(path)
+    from_file = load_object(path, scale=0.001)
+    from_mesh = load_object(load_mesh(path), scale=0.001, up="y")
+    np.testing.assert_array_equal(from_file.to_object, from_mesh.to_object)
+    np.testing.assert_allclose(from_file.solid.extents, [0.02, 0.03, 0.07], atol=1e-6)
+    np.testing.assert_allclose(from_file.mesh.extents, [20, 70, 30], atol=1e-4)
+    assert from_file.metres_per_unit == pytest.approx(0.001)
+
+
+def test_a_mesh_in_millimetres_is_refused_like_its_file(tmp_path):
+    path = tmp_path / "cup_mm.obj"
+    trimesh.creation.box((60, 70, 90)).export(path)
+    for given in (path, load_mesh(path)):
+        with pytest.raises(UserError, match=r"largest side of 90, larger than 40 cm .* pass scale=0\.001"):
+            load_object(given)
