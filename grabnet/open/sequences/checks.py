@@ -8,10 +8,10 @@ from functools import lru_cache
 import numpy as np
 import torch
 
+from grabnet.body.skeleton import JOINTS, LEFT_HAND_JOINTS, RIGHT_HAND_JOINTS
 from grabnet.data.sequences import Sequence
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
-from grabnet.open.body.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND
 from grabnet.open.sequences.motion import Pose
 from grabnet.open.sequences.performance import Performance
 from grabnet.open.sequences.props import Prop
@@ -58,7 +58,7 @@ def measure(sequence: Sequence, stage: Performance, prop: Prop, table: Table) ->
     """Measure a recording on its surfaces."""
     actor = stage.actor
     part = actor.body.weights.argmax(1).numpy()
-    in_hand = np.isin(part, [*RIGHT_HAND, *LEFT_HAND])
+    in_hand = np.isin(part, [*RIGHT_HAND_JOINTS, *LEFT_HAND_JOINTS])
     feet, arms = torch.as_tensor(np.isin(part, _FEET)), in_hand | np.isin(part, _LOWER_ARMS)
     low, high = prop.mesh.bounds.astype(np.float64)
     rotation, transl = sequence.table.rotations(slice(0, 1))[0].double().numpy(), sequence.table.transl[0].astype(float)

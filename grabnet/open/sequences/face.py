@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from grabnet.open.body.skeleton import JOINTS
+from grabnet.body.skeleton import JOINTS
 from grabnet.open.sequences.actor import Actor
 from grabnet.open.sequences.motion import Pose
 from grabnet.open.sequences.props import Hold, Prop
