@@ -10,7 +10,7 @@ from grabnet.body.skeleton import HEAD_PARTS, LEFT_HAND_PARTS, N_PARTS, PARTS, R
 from grabnet.data.sequences import Sequence
 from grabnet.preprocess.filtering import part_counts, touching
 
-# The paper's contact frames (supplement; ref. 8): the object so far from its first height, so many body vertices in
+# The paper's contact frames (3.5; ref. 8): the object so far from its first height, so many body vertices in
 # contact.
 _LIFTED, _BODY_VERTICES = 0.005, 50
 

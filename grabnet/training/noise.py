@@ -1,4 +1,4 @@
-"""What RefineNet learns to correct: noisy versions of true grasps (paper S.9.2, ref. 7)."""
+"""What RefineNet learns to correct: noisy versions of true grasps (paper S.9.1, ref. 7)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What RefineNet may learn from besides noise: the guesses of a trained CoarseNet (paper 5.1)."""
+"""What RefineNet may learn from besides noise: the guesses of a trained CoarseNet (ref. 7)."""
 
 from __future__ import annotations
 
