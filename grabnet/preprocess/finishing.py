@@ -15,10 +15,10 @@ from torch import Tensor
 from grabnet.body.hand import HandModel
 from grabnet.data.batches import BatchAssembler
 from grabnet.data.frames import finish_store, read_frames
+from grabnet.data.measuring import contact_share
 from grabnet.data.objects import OBJECT_MESHES, ObjectSet
 from grabnet.data.sequences import load_below
 from grabnet.data.splits import MIRRORED_SUFFIX, split_of
-from grabnet.data.targets import contact_share
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh, save_mesh
 from grabnet.io.files import replacing
