@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from grabnet.contact.contacts import Contacts
 from grabnet.evaluation.metrics import Metric
 from grabnet.evaluation.scene import Scene
-from grabnet.generation.grasps import DEFINITIONS, Contacts
+from grabnet.generation.grasps import DEFINITIONS
 
 
 class Penetration:
