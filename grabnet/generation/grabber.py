@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import roma
 import torch
 from torch import Tensor, nn
 
@@ -16,7 +15,7 @@ from grabnet.generation.grasps import Grasps
 from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.mesh import Mesh, file_to_object, load_mesh
 from grabnet.geometry.queries import MeshQuery
-from grabnet.geometry.rotations import about_z
+from grabnet.geometry.rotations import about_z, quaternion_to_matrix
 from grabnet.geometry.sdf_grid import SDFGrid
 from grabnet.io.files import existing
 from grabnet.models.coarsenet import CoarseNet
@@ -203,8 +202,7 @@ def _turns(orientation: str, n: int, seed: int) -> Tensor:
         return about_z(torch.from_numpy(rng.uniform(0, 2 * np.pi) + np.arange(n) * _GOLDEN_ANGLE).float())
     if orientation == "fixed":
         return torch.eye(3).unsqueeze(0)
-    quaternion = torch.from_numpy(rng.standard_normal((n, 4), np.float32))
-    return roma.unitquat_to_rotmat(quaternion / quaternion.norm(dim=1, keepdim=True))
+    return quaternion_to_matrix(torch.from_numpy(rng.standard_normal((n, 4), np.float32)))
 
 
 def _one_of(name: str, value: str, options: tuple[str, ...]) -> str:

@@ -29,7 +29,7 @@ _REFLECT = np.array([-1, 1, 1])
 
 
 @dataclass(frozen=True)
-class Report:
+class BodyReport:
     """Adults left out of the fit (the last quarter), in millimetres, mean and maximum; shares of variance.
 
     joint_error: regressed joints of the trunk and arms. shape_error: vertices, with the best betas.
@@ -40,7 +40,7 @@ class Report:
     explained: tuple[float, ...]
 
 
-def build_body(folder: str | Path, n_adults: int = 400, seed: int = 0) -> Report:
+def build_body(folder: str | Path, n_adults: int = 400, seed: int = 0) -> BodyReport:
     """Write SMPLX_NEUTRAL.npz and subjects.npz into `folder`; needs anny (about two minutes).
 
     The adults must be those of the open hand (its `n_adults` and `seed`): its shapes are carried over to their hands.
@@ -107,7 +107,7 @@ def build_body(folder: str | Path, n_adults: int = 400, seed: int = 0) -> Report
     }
     _write(Path(folder) / "subjects.npz", subjects)
     unexplained = (offset - basis @ betas.T).T[fitted:].reshape(n_adults - fitted, -1, 3)
-    return Report(
+    return BodyReport(
         _mean_and_max((found @ vertices[fitted:]) - joints[fitted:][:, central]),
         _mean_and_max(unexplained),
         tuple(explained.round(4).tolist()),

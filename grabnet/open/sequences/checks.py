@@ -14,7 +14,7 @@ from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.open.sequences.motion import Pose
 from grabnet.open.sequences.performance import Performance
-from grabnet.open.sequences.props import Prop
+from grabnet.open.sequences.props import StageProp
 from grabnet.open.sequences.setting import TABLE_SIZE, Table
 
 _EVERY = 4  # frames from one to the next in which depths are measured
@@ -26,7 +26,7 @@ _LOWER_ARMS = [JOINTS.index(f"{side}_elbow") for side in ("left", "right")]
 
 
 @dataclass(frozen=True)
-class Measures:
+class RecordingMeasures:
     """Of a recording, at most over its frames; also the limits. Millimetres and degrees, per frame at 120 per second.
 
     step: of any vertex of body or object. turn: of any joint or the object. feet: how far a vertex of the feet gets
@@ -45,7 +45,7 @@ class Measures:
     table_depth: float = 3.0
     trunk_depth: float = 8.0
 
-    def beyond(self, limits: Measures) -> list[str]:
+    def beyond(self, limits: RecordingMeasures) -> list[str]:
         """Names of those that exceed their limits."""
         return [f.name for f in fields(self) if not getattr(self, f.name) <= getattr(limits, f.name)]
 
@@ -54,7 +54,7 @@ class Measures:
 
 
 @torch.no_grad()
-def measure(sequence: Sequence, stage: Performance, prop: Prop, table: Table) -> Measures:
+def measure(sequence: Sequence, stage: Performance, prop: StageProp, table: Table) -> RecordingMeasures:
     """Measure a recording on its surfaces."""
     actor = stage.actor
     part = actor.body.weights.argmax(1).numpy()
@@ -106,7 +106,7 @@ def measure(sequence: Sequence, stage: Performance, prop: Prop, table: Table) ->
     corners = sequence.object.to_world(torch.as_tensor(prop.mesh.vertices[:: max(1, len(prop.vertices) // 500)].copy()))
     step = max(step, float(corners.diff(dim=0).norm(dim=-1).max()))
     height = prop.vertices @ sequence.object.rotations(slice(0, 1))[0].numpy().T[:, 2] + sequence.object.transl[0, 2]
-    return Measures(
+    return RecordingMeasures(
         step=1e3 * step,
         turn=_fastest_turn(sequence),
         feet=1e3 * feet_way,
