@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from grabnet.benchmarks.run import Benchmark
-from grabnet.benchmarks.scene import Scene
+from grabnet.benchmarks.scene import HandsOnObjects
 from grabnet.benchmarks.timing import Case
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.queries import MeshQuery
@@ -17,7 +17,7 @@ N_SAMPLES = 10_000
 
 
 def cases(settings: Benchmark) -> list[Case]:
-    scene = Scene.make(settings.batch, settings.seed, settings.device)
+    scene = HandsOnObjects.make(settings.batch, settings.seed, settings.device)
     bps = BPS().to(settings.device)
     samples = [mesh.sample_surface(N_SAMPLES)[0] for mesh in scene.meshes]
     trees = [cKDTree(points) for points in samples]

@@ -12,6 +12,7 @@ from grabnet.benchmarks.run import Benchmark
 from grabnet.benchmarks.scene import hands, meshes
 from grabnet.benchmarks.timing import Case
 from grabnet.body.anatomy import Anatomy
+from grabnet.body.skeleton import PARTS, RIGHT_HAND_PARTS
 from grabnet.contact.annotator import ContactAnnotator
 from grabnet.geometry.mesh import Mesh
 from grabnet.preprocess.backends import machine_cores
@@ -63,7 +64,7 @@ def _bodies(thing: Mesh, n: int, seed: int) -> tuple[list[np.ndarray], np.ndarra
     rest = trimesh.creation.icosphere(5, 0.2)
     torso = rest.vertices + np.array([0, 0.6, 0])
     faces = np.concatenate([hand.faces.numpy(), rest.faces + vertices.shape[1]])
-    parts = np.concatenate([41 + anatomy.bone.numpy(), np.ones(len(torso), int)])
+    parts = np.concatenate([np.array(RIGHT_HAND_PARTS)[anatomy.bone.numpy()], np.full(len(torso), PARTS["pelvis"])])
     return [np.concatenate([v, torso]).astype(np.float32) for v in vertices], faces, parts
 
 

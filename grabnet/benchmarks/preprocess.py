@@ -19,6 +19,7 @@ from grabnet.benchmarks.run import Benchmark
 from grabnet.benchmarks.scene import meshes
 from grabnet.benchmarks.timing import Case
 from grabnet.body.hand import OPEN_HANDS, HandModel
+from grabnet.body.skeleton import PARTS
 from grabnet.cli.entry import compose
 from grabnet.data.frames import FramesStore, finish_store, write_shard
 from grabnet.data.objects import OBJECT_MESHES
@@ -109,7 +110,7 @@ def _recording(name: str, thing: Mesh, seed: int) -> Sequence:
     transl[:, 2] = 0.0002 * np.maximum(np.arange(N_FRAMES) - N_FRAMES // 3, 0)
     labels, body = (np.zeros((N_FRAMES, n), np.uint8) for n in (len(thing.vertices), N_BODY))
     held = slice(N_FRAMES // 3, None)
-    for k, part in enumerate((43, 46, 55)):
+    for k, part in enumerate((PARTS["right_index3"], PARTS["right_middle3"], PARTS["right_thumb3"])):
         labels[held, 100 * k : 100 * (k + 1)] = body[held, 100 * k : 100 * (k + 1)] = part
     hand = HandTrack(*track(3, 24, 3, 45), "tools/hand.ply")
     return Sequence(

@@ -27,7 +27,7 @@ SUITES = {
     "preprocess": "from recordings to training frames, and loading these",
     "physics": "whether hands hold an object, simulated",
 }
-# Frames at once where none are given: of training as many as it takes (paper S.9.2).
+# Frames at once where none are given: of training as many as it takes (ref. 7).
 BATCH = {name: 256 if name == "train" else 32 for name in SUITES}
 
 

@@ -38,7 +38,7 @@ def hands(batch: int, generator: torch.Generator, device: str) -> tuple[HandMode
 
 
 @dataclass(frozen=True)
-class Scene:
+class HandsOnObjects:
     """A batch of hands around objects.
 
     vertices: (B, 778, 3) in the frames of objects (B,), which index meshes. rotations: (B, 3, 3) of the objects.
@@ -53,7 +53,7 @@ class Scene:
     centroids: Tensor
 
     @classmethod
-    def make(cls, batch: int, seed: int, device: str) -> Scene:
+    def make(cls, batch: int, seed: int, device: str) -> HandsOnObjects:
         generator = torch.Generator().manual_seed(seed)
         solids = meshes()
         objects = torch.randint(len(solids), (batch,), generator=generator).to(device)

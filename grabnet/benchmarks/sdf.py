@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from grabnet.benchmarks.run import Benchmark
-from grabnet.benchmarks.scene import Scene
+from grabnet.benchmarks.scene import HandsOnObjects
 from grabnet.benchmarks.timing import Case
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
@@ -20,7 +20,7 @@ SMALL = AtlasConfig(fine_nodes=64**3, coarse_nodes=40**3)
 
 
 def cases(settings: Benchmark) -> list[Case]:
-    scene = Scene.make(settings.batch, settings.seed, settings.device)
+    scene = HandsOnObjects.make(settings.batch, settings.seed, settings.device)
     queries = [MeshQuery(mesh, settings.device) for mesh in scene.meshes]
     samples = [mesh.sample_surface(N_OBJECT_POINTS)[0] for mesh in scene.meshes]
     clouds = torch.stack([torch.tensor(sample) for sample in samples]).to(scene.objects.device)[scene.objects]

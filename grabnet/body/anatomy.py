@@ -14,13 +14,11 @@ import torch
 from torch import Tensor
 
 from grabnet.body.hand import HandModel
+from grabnet.body.skeleton import HAND_JOINTS, MODEL_FINGERS
 from grabnet.geometry.openings import boundary_loops
 from grabnet.geometry.rotations import matrix_to_axis_angle
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
-_MODEL_FINGERS = ("index", "middle", "pinky", "ring", "thumb")  # MANO's order of joints
-# Joint k is the proximal end of phalanx k of its finger: index1 is the knuckle, thumb1 the base of the thumb (CMC).
-JOINTS = ("wrist", *(f"{finger}{k}" for finger in _MODEL_FINGERS for k in (1, 2, 3)))
 
 # Radians. Positive flexion bends towards the palm; positive abduction leads a finger towards the thumb's side and the
 # thumb out of the palm's plane; twist is right-handed about the thumb (left-handed on a left hand).
@@ -32,7 +30,7 @@ _THUMB_LIMITS = {
     "mcp": (-0.35, 1.0),
     "ip": (-0.35, 1.3),
 }
-ANGLE_LIMITS = {f"{f}_{name}": limit for f in _MODEL_FINGERS[:4] for name, limit in _FINGER_LIMITS.items()} | {
+ANGLE_LIMITS = {f"{f}_{name}": limit for f in MODEL_FINGERS[:4] for name, limit in _FINGER_LIMITS.items()} | {
     f"thumb_{name}": limit for name, limit in _THUMB_LIMITS.items()
 }
 _JOINT_OF_ANGLE = (0, 0, 1, 2)  # of a finger, counted from its first joint
@@ -79,7 +77,7 @@ class Anatomy:
         joints = hand.rest_joints(vertices)
         frame = _hand_frame(joints, hand.is_right)
         bone = weights.argmax(1)
-        finger = torch.tensor([-1, *(FINGERS.index(f) for f in _MODEL_FINGERS for _ in range(3))], device=bone.device)
+        finger = torch.tensor([-1, *(FINGERS.index(f) for f in MODEL_FINGERS for _ in range(3))], device=bone.device)
         tips = torch.stack([_tip(vertices, joints, bone, f) for f in FINGERS])
         axes = _axes(joints, vertices[tips[0]], frame, hand.is_right)
         loop = boundary_loop(faces)
@@ -180,7 +178,7 @@ def _hand_frame(joints: Tensor, is_right: bool) -> Tensor:
 
 def _tip(vertices: Tensor, joints: Tensor, bone: Tensor, finger: str) -> Tensor:
     """The vertex of the distal phalanx that lies farthest along it."""
-    joint = JOINTS.index(f"{finger}3")
+    joint = HAND_JOINTS.index(f"{finger}3")
     phalanx = (bone == joint).nonzero().squeeze(1)
     offset = vertices[phalanx] - joints[joint]
     return phalanx[(offset @ _unit(offset.mean(0))).argmax()]
@@ -211,7 +209,7 @@ def _pads(
     weight, bone = weights.max(1)
     pads: dict[str, Tensor] = {}
     for f, finger in enumerate(FINGERS):
-        first = JOINTS.index(f"{finger}1")
+        first = HAND_JOINTS.index(f"{finger}1")
         ends = [*joints[first : first + 3], vertices[tips[f]]]
         for k in range(3):
             # The thumb's pads face sideways, where flexion carries them; its base is part of the palm.
@@ -227,7 +225,7 @@ def _pads(
     pads["palm_thenar"] = palm & (across > 0.1) & (along < 0.75)
     pads["palm_hypothenar"] = palm & (across < -0.1) & (along < 0.75)
     pads["palm_mcp"] = palm & (along >= 0.75)
-    side = (bone == JOINTS.index("index2")) | (bone == JOINTS.index("index3"))
+    side = (bone == HAND_JOINTS.index("index2")) | (bone == HAND_JOINTS.index("index3"))
     pads["index_side"] = side & (normals @ _unit(radial + 0.3 * palmar) > 0.7)
     return {name: mask.nonzero().squeeze(1) for name, mask in pads.items()}
 

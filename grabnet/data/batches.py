@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
@@ -11,12 +10,10 @@ from torch import Tensor, nn
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.data.frames import Frames
 from grabnet.data.objects import ObjectSet
+from grabnet.data.targets import Targets
 from grabnet.geometry.placed import PlacedObjects
 from grabnet.geometry.rotations import about_z, axis_angle_to_matrix
 from grabnet.precision import full_precision
-
-if TYPE_CHECKING:
-    from grabnet.data.targets import Targets
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,10 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 from grabnet.body.hand import HandModel
 from grabnet.data.batches import BatchAssembler, GraspBatch
 from grabnet.data.frames import Frames, FramesStore
+from grabnet.data.measuring import compute_targets
 from grabnet.data.objects import OBJECT_MESHES, ObjectSet
 from grabnet.data.splits import SPLITS, split_of
-from grabnet.data.targets import MAX_POINTS, Targets, compute_targets
+from grabnet.data.targets import MAX_POINTS, Targets
 from grabnet.errors import UserError
 
 

@@ -16,14 +16,13 @@ import torch
 from torch import Tensor
 
 from grabnet.body.hand import HandParameters
+from grabnet.body.skeleton import JOINTS, N_PARTS
 from grabnet.body.whole import BodyParameters
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.io.files import replacing
 from grabnet.io.npz import read_npz
-
-N_PARTS = 55  # contact labels: 0 for none, otherwise SMPL-X's joint + 1
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ class BodyTrack:
 
     def parameters(self, frames: np.ndarray | slice = slice(None)) -> BodyParameters:
         """Exact poses in the world's frame."""
-        rotations = axis_angle_to_matrix(_tensor(self.fullpose[frames]).unflatten(1, (55, 3)))
+        rotations = axis_angle_to_matrix(_tensor(self.fullpose[frames]).unflatten(1, (len(JOINTS), 3)))
         return BodyParameters.from_rotations(rotations, _tensor(self.transl[frames]))
 
 

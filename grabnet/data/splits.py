@@ -6,10 +6,10 @@ from collections.abc import Collection
 
 SPLITS = ("train", "val", "test")
 # Ends the names of subjects, objects and sequences as a mirror shows them.
-MIRRORED = "_mirrored"
+MIRRORED_SUFFIX = "_mirrored"
 
 
 def split_of(name: str, val_objects: Collection[str], test_objects: Collection[str]) -> str:
     """train, val or test: where an object belongs; its mirror image belongs where it does."""
-    name = name.removesuffix(MIRRORED)
+    name = name.removesuffix(MIRRORED_SUFFIX)
     return "val" if name in val_objects else "test" if name in test_objects else "train"

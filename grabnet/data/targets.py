@@ -1,4 +1,4 @@
-"""What is learned once from the frames, before training: true distances, object points near the hand, contact."""
+"""What the losses compare with: true distances, and the object's points near the hand."""
 
 from __future__ import annotations
 
@@ -6,14 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from rich.progress import track
 from torch import Tensor
-
-from grabnet.data.batches import BatchAssembler
-from grabnet.data.frames import Frames
-from grabnet.geometry.nearest import NearestVertex
-from grabnet.geometry.rotations import axis_angle_to_matrix
-from grabnet.precision import full_precision
 
 MAX_POINTS = torch.iinfo(torch.int16).max  # samples of an object's surface: `Targets.near` numbers them
 
@@ -49,43 +42,3 @@ class Targets:
         """(V,) share of frames in which each hand vertex lies within `distance` of the object, or in it."""
         counts = [(part < distance).float().sum(0) for part in self.distances.split(4096)]  # whole, it takes gigabytes
         return torch.stack(counts).sum(0) / len(self.distances)
-
-
-@torch.no_grad()
-@full_precision
-def compute_targets(frames: Frames, assembler: BatchAssembler, n_points: int, batch_size: int = 64) -> Targets:
-    """Pose every frame once and measure it.
-
-    Args:
-        frames: to measure.
-        n_points: surface samples kept per frame: those nearest to the hand, or all when it equals their number.
-    """
-    hand, points = assembler.hand, assembler.object_set.points
-    nearest = NearestVertex(hand.faces, len(hand.v_template))
-    targets = Targets(
-        torch.empty(len(frames), len(hand.v_template), dtype=torch.float16),
-        None if n_points == points.shape[1] else torch.empty(len(frames), n_points, dtype=torch.int16),
-        torch.empty(len(frames), n_points, dtype=torch.float16),
-    )
-    for start in track(range(0, len(frames), batch_size), "Measuring the frames", transient=True):
-        part = slice(start, start + batch_size)
-        batch = frames.select(torch.arange(len(frames))[part])
-        vertices, distances = assembler.measured(batch)
-        targets.distances[part] = distances.half()
-        rotations = axis_angle_to_matrix(batch.object_orient)
-        offset = nearest.signed_offset(points[batch.object] @ rotations.mT, vertices)
-        if targets.near is not None:
-            chosen = offset.abs().topk(n_points, largest=False, sorted=False).indices.sort().values
-            targets.near[part] = chosen.short()
-            offset = offset.gather(1, chosen)
-        targets.near_distances[part] = offset.half()
-    return targets
-
-
-@torch.no_grad()
-def contact_share(frames: Frames, assembler: BatchAssembler, distance: float, batch_size: int = 256) -> Tensor:
-    """`Targets.contact` of frames whose other targets are not wanted."""
-    touching = torch.zeros(len(assembler.hand.v_template), dtype=torch.int64)
-    for index in track(torch.arange(len(frames)).split(batch_size), "Measuring contact", transient=True):
-        touching += (assembler.measured(frames.select(index))[1] < distance).sum(0)
-    return touching / len(frames)

@@ -11,12 +11,9 @@ from torch import Tensor
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
+from grabnet.body.skeleton import LEFT_HAND_PARTS, RIGHT_HAND_PARTS
 from grabnet.geometry.openings import close
 from grabnet.io.files import sha256
-
-# GRAB's numbers of the right and the left hand; those of fingers follow its joints (ref. 1).
-_WRIST_PART = {"right": 22, "left": 21}
-_FIRST_FINGER_PART = {"right": 41, "left": 26}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -77,8 +74,7 @@ class HandLabels:
     @classmethod
     def of(cls, hand: HandModel) -> HandLabels:
         anatomy = Anatomy.of(hand)
-        side, bone = "right" if hand.is_right else "left", anatomy.bone.numpy()
-        parts = np.where(bone > 0, bone - 1 + _FIRST_FINGER_PART[side], _WRIST_PART[side]).astype(np.uint8)
+        parts = np.array(RIGHT_HAND_PARTS if hand.is_right else LEFT_HAND_PARTS, np.uint8)[anatomy.bone.numpy()]
         return cls(anatomy.finger.numpy(), parts, anatomy, hand.J_regressor)
 
     def fit(self, hands: Hands) -> bool:
@@ -87,7 +83,7 @@ class HandLabels:
 
     def parts_of(self, hands: Hands) -> np.ndarray:
         """(V,) uint8: the part of each vertex; the whole hand where its vertices are not this model's."""
-        return self.parts if self.fit(hands) else np.full(hands.vertices.shape[1], _WRIST_PART["right"], np.uint8)
+        return self.parts if self.fit(hands) else np.full(hands.vertices.shape[1], RIGHT_HAND_PARTS[0], np.uint8)
 
     def keypoints(self, hands: Hands) -> np.ndarray | None:
         """(N, 21, 3) float64 metres: 16 joints, regressed from the vertices, and the fingertips in the order of

@@ -12,7 +12,7 @@ import torch
 from grabnet.evaluation.hands import Hands
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
-from grabnet.geometry.voxels import Crossings, Runs, inside
+from grabnet.geometry.voxels import RayCrossings, Runs, inside
 
 # Metres: of vertices farther than this from the object's bounding box nothing more is said than that they are far.
 _REACH = 0.02
@@ -51,7 +51,7 @@ class Scene:
 
     def __init__(self, target: Target, hands: Hands):
         self.target, self.hands = target, hands
-        self._crossings: dict[float, list[Crossings]] = {}
+        self._crossings: dict[float, list[RayCrossings]] = {}
 
     @cached_property
     def distances(self) -> np.ndarray:
@@ -65,11 +65,11 @@ class Scene:
             distances[near] = self.target.query.signed_distance(torch.from_numpy(vertices[near])).numpy()
         return distances
 
-    def crossings(self, spacing: float) -> list[Crossings]:
+    def crossings(self, spacing: float) -> list[RayCrossings]:
         """Of each hand, its wrist closed, with the columns of voxels."""
         if spacing not in self._crossings:
             vertices, faces = self.hands.closed
-            self._crossings[spacing] = [Crossings.of(hand, faces, spacing) for hand in vertices]
+            self._crossings[spacing] = [RayCrossings.of(hand, faces, spacing) for hand in vertices]
         return self._crossings[spacing]
 
     def shared_volume(self, spacing: float) -> np.ndarray:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import roma
 import torch
 from torch import Tensor, nn
 
@@ -21,7 +20,7 @@ from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.object_mesh import load_object
 from grabnet.geometry.queries import MeshQuery
-from grabnet.geometry.rotations import about_z
+from grabnet.geometry.rotations import about_z, quaternion_to_matrix
 from grabnet.geometry.sdf_grid import SDFGrid
 from grabnet.models.generator import GraspGenerator
 from grabnet.models.trained import find_model, load_model
@@ -209,6 +208,5 @@ def _turns(orientation: str, n: int, seed: int) -> Tensor:
     if orientation == "fixed":
         return torch.eye(3).unsqueeze(0)
     if orientation == "random":
-        quaternion = torch.from_numpy(rng.standard_normal((n, 4), np.float32))
-        return roma.unitquat_to_rotmat(quaternion / quaternion.norm(dim=1, keepdim=True))
+        return quaternion_to_matrix(torch.from_numpy(rng.standard_normal((n, 4), np.float32)))
     raise UserError(f"orientation is '{orientation}'; it can be {', '.join(ORIENTATIONS)}.")

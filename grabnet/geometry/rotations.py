@@ -48,7 +48,11 @@ def about_z(angle: Tensor) -> Tensor:
 
 def random_rotations(n: int, generator: torch.Generator | None = None, dtype: torch.dtype = torch.float32) -> Tensor:
     """(n, 3, 3) rotations, uniform over SO(3)."""
-    quaternion = torch.randn(n, 4, generator=generator, dtype=dtype)
+    return quaternion_to_matrix(torch.randn(n, 4, generator=generator, dtype=dtype))
+
+
+def quaternion_to_matrix(quaternion: Tensor) -> Tensor:
+    """(..., 4) quaternions of any length, real part last → (..., 3, 3); of standard normals, uniform over SO(3)."""
     return roma.unitquat_to_rotmat(quaternion / quaternion.norm(dim=-1, keepdim=True))
 
 

@@ -1,4 +1,4 @@
-"""The edge loss: how much a mesh is stretched and bent compared with the true one (paper 5.1)."""
+"""The edge loss: how much a mesh is stretched and bent compared with the true one (paper 4)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The terms of the training losses (paper 5.1, ref. 7), each a small function; all return a scalar."""
+"""The terms of the training losses (paper 4, ref. 7), each a small function; all return a scalar."""
 
 from __future__ import annotations
 

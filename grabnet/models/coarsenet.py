@@ -1,4 +1,4 @@
-"""CoarseNet: a conditional variational autoencoder of grasps, given an object's basis point set (paper 5.1, ref. 6)."""
+"""CoarseNet: a conditional variational autoencoder of grasps, given an object's basis point set (paper 4, ref. 6)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""RefineNet: corrects a grasp step by step from the hand's distances to the object (paper 5.1, ref. 6)."""
+"""RefineNet: corrects a grasp step by step from the hand's distances to the object (paper 4, ref. 6)."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from grabnet.body.anatomy import FINGERS
-from grabnet.data.splits import MIRRORED
+from grabnet.data.splits import MIRRORED_SUFFIX
 from grabnet.io.files import replacing, write_json
 from grabnet.preprocess.filtering import Waterfall
 from grabnet.preprocess.statistics import agreement
@@ -64,8 +64,8 @@ class Card:
     def _sequences(self, failed: list[str]) -> dict[str, Any]:
         kept = {name: header["counts"]["fingers"]["frames"] for name, header in self.headers.items()}
         return {
-            "read": sum(not name.endswith(MIRRORED) for name in kept),
-            "mirrored": sum(name.endswith(MIRRORED) for name in kept),
+            "read": sum(not name.endswith(MIRRORED_SUFFIX) for name in kept),
+            "mirrored": sum(name.endswith(MIRRORED_SUFFIX) for name in kept),
             "without_frames": sum(n == 0 for n in kept.values()),
             "failed": failed,
         }

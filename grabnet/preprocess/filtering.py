@@ -8,21 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from grabnet.data.sequences import N_PARTS
+from grabnet.body.skeleton import LEFT_HAND_PARTS, N_PARTS, RIGHT_FINGER_PARTS, RIGHT_HAND_PARTS
 from grabnet.errors import UserError
 from grabnet.preprocess.grasp_track import GraspTrack
-
-# Contact labels (ref. 1): of each finger's three phalanges, and of the hand with them.
-RIGHT_FINGERS = {
-    "index": (41, 42, 43),
-    "middle": (44, 45, 46),
-    "pinky": (47, 48, 49),
-    "ring": (50, 51, 52),
-    "thumb": (53, 54, 55),
-}
-PALM = 22
-RIGHT_HAND = (PALM, *range(41, 56))
-LEFT_HAND = (21, *range(26, 41))
 
 
 @dataclass(frozen=True)
@@ -62,7 +50,7 @@ class FrameFilter:
         for name, low in least.items():
             if not (value := getattr(self, name)) >= low:
                 raise UserError(f"filter.{name} is {value}; it must be at least {low}.")
-        if self.min_other_fingers > (most := len(RIGHT_FINGERS) - 1):
+        if self.min_other_fingers > (most := len(RIGHT_FINGER_PARTS) - 1):
             raise UserError(f"filter.min_other_fingers is {self.min_other_fingers}; there are {most}.")
 
     def passed(self, track: GraspTrack, gap: np.ndarray | None = None) -> dict[str, np.ndarray]:
@@ -75,11 +63,11 @@ class FrameFilter:
         above = track.object.transl[:, 2]
         lift = gap if self.height == "table" else above - above[0]
         fingers = touching(counts, self.min_finger_vertices)
-        others = sum(fingers[finger].astype(int) for finger in RIGHT_FINGERS if finger != "thumb")
+        others = sum(fingers[finger].astype(int) for finger in RIGHT_FINGER_PARTS if finger != "thumb")
         return {
             "every": np.arange(len(track)) % self.every == 0,
-            "right_hand": (counts[:, list(RIGHT_HAND)].any(1)) | (not self.right_hand),
-            "left_hand_free": ~counts[:, list(LEFT_HAND)].any(1) | (not self.left_hand_free),
+            "right_hand": (counts[:, list(RIGHT_HAND_PARTS)].any(1)) | (not self.right_hand),
+            "left_hand_free": ~counts[:, list(LEFT_HAND_PARTS)].any(1) | (not self.left_hand_free),
             "min_lift": np.abs(lift) >= self.min_lift,
             "thumb": fingers["thumb"] | (not self.thumb),
             "min_other_fingers": others >= self.min_other_fingers,
@@ -122,7 +110,7 @@ def frames_left(passed: Mapping[str, np.ndarray]) -> dict[str, int]:
 
 def touching(counts: np.ndarray, least: int = 1) -> dict[str, np.ndarray]:
     """(T,) bool for each right finger: whether it touches at least so many vertices of (T, 56) `part_counts`."""
-    return {finger: counts[:, list(parts)].sum(1) >= least for finger, parts in RIGHT_FINGERS.items()}
+    return {finger: counts[:, list(parts)].sum(1) >= least for finger, parts in RIGHT_FINGER_PARTS.items()}
 
 
 def part_counts(labels: np.ndarray) -> np.ndarray:

@@ -15,10 +15,10 @@ from torch import Tensor
 from grabnet.body.hand import HandModel
 from grabnet.data.batches import BatchAssembler
 from grabnet.data.frames import finish_store, read_frames
+from grabnet.data.measuring import contact_share
 from grabnet.data.objects import OBJECT_MESHES, ObjectSet
 from grabnet.data.sequences import load_below
-from grabnet.data.splits import MIRRORED, split_of
-from grabnet.data.targets import contact_share
+from grabnet.data.splits import MIRRORED_SUFFIX, split_of
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh, save_mesh
 from grabnet.io.files import replacing
@@ -101,14 +101,15 @@ class Finishing:
             n, of_model = len(mesh.vertices), len(self._hand.v_template)
             if n != of_model:
                 raise UserError(f"{self.recordings.folder / path} has {n} vertices, the hand model {of_model}.")
-            templates[subject] = torch.tensor((mirror_image(mesh) if subject.endswith(MIRRORED) else mesh).vertices)
+            mirrored = subject.endswith(MIRRORED_SUFFIX)
+            templates[subject] = torch.tensor((mirror_image(mesh) if mirrored else mesh).vertices)
         return templates
 
     def _place_object(self, name: str) -> str:
         """Put an object's mesh, or its mirror image, where training looks for it; its hash."""
-        source = self.recordings.objects[name.removesuffix(MIRRORED)]
-        target = self.root / OBJECT_MESHES / (f"{name}.ply" if name.endswith(MIRRORED) else source.name)
-        if name.endswith(MIRRORED):
+        source = self.recordings.objects[name.removesuffix(MIRRORED_SUFFIX)]
+        target = self.root / OBJECT_MESHES / (f"{name}.ply" if name.endswith(MIRRORED_SUFFIX) else source.name)
+        if name.endswith(MIRRORED_SUFFIX):
             save_mesh(target, mirror_image(load_mesh(source)))
         elif target != source:
             with replacing(target) as temporary:

@@ -8,15 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from grabnet.data.sequences import N_PARTS, HandTrack, RigidTrack, Sequence
-from grabnet.data.splits import MIRRORED
+from grabnet.body.skeleton import MIRRORED_PART
+from grabnet.data.sequences import HandTrack, RigidTrack, Sequence
+from grabnet.data.splits import MIRRORED_SUFFIX
 from grabnet.geometry.mesh import Mesh
 
-# Contact labels (ref. 1) of the parts that come in pairs, left and right: joints of SMPL-X, counted from one.
-_LEFT = (2, 5, 8, 11, 14, 17, 19, 21, 24, *range(26, 41))
-_RIGHT = (3, 6, 9, 12, 15, 18, 20, 22, 25, *range(41, 56))
-_OPPOSITE = np.arange(N_PARTS + 1, dtype=np.uint8)
-_OPPOSITE[[*_LEFT, *_RIGHT]] = [*_RIGHT, *_LEFT]
 # The mirror is the plane x = 0. Axes of rotation are reversed by it where vectors are not.
 _FLIP = np.array([-1, 1, 1], np.float32)
 
@@ -26,7 +22,7 @@ class GraspTrack:
     """A right hand, an object and what touches it, frame by frame.
 
     Attributes:
-        name, subject, object_name, intent: of the recording; mirrored ones end in `MIRRORED`.
+        name, subject, object_name, intent: of the recording; mirrored ones end in `MIRRORED_SUFFIX`.
         hand: the right hand's motion. object: the object's.
         labels: (T, V of the object) uint8, the part that touches each vertex, 0 for none.
     """
@@ -55,9 +51,9 @@ class GraspTrack:
         """
         hand, thing = sequence.lhand, sequence.object
         return cls(
-            sequence.name + MIRRORED,
-            sequence.sbj_id + MIRRORED,
-            sequence.obj_name + MIRRORED,
+            sequence.name + MIRRORED_SUFFIX,
+            sequence.sbj_id + MIRRORED_SUFFIX,
+            sequence.obj_name + MIRRORED_SUFFIX,
             sequence.motion_intent,
             replace(
                 hand,
@@ -66,12 +62,12 @@ class GraspTrack:
                 transl=_FLIP * hand.transl,
             ),
             replace(thing, global_orient=-_FLIP * thing.global_orient, transl=_FLIP * thing.transl),
-            _OPPOSITE[sequence.contact.object],
+            MIRRORED_PART[sequence.contact.object],
         )
 
     @property
     def is_mirrored(self) -> bool:
-        return self.name.endswith(MIRRORED)
+        return self.name.endswith(MIRRORED_SUFFIX)
 
     def __len__(self) -> int:
         return len(self.labels)

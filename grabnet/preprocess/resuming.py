@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from grabnet.data.frames import read_header, shard_names, shard_path
-from grabnet.data.splits import MIRRORED
+from grabnet.data.splits import MIRRORED_SUFFIX
 from grabnet.errors import UserError
 from grabnet.io.files import existing, leftovers, sha256, write_json
 from grabnet.io.recipes import difference
@@ -70,7 +70,7 @@ def shards_done(store: Path, recordings: Recordings, names: Collection[str], mir
     """
     digests: dict[str, str] = {}
     shards = shard_names(store)
-    known = {*names, *(name + MIRRORED for name in names)}
+    known = {*names, *(name + MIRRORED_SUFFIX for name in names)}
     for name in shards:
         path = shard_path(store, name)
         if name not in known:
@@ -84,5 +84,5 @@ def shards_done(store: Path, recordings: Recordings, names: Collection[str], mir
                     f"{path} was made when {now} was another file: delete the shard to have it made anew, or choose "
                     f"another output=."
                 )
-    there, endings = set(shards), ("", MIRRORED) if mirrored else ("",)
+    there, endings = set(shards), ("", MIRRORED_SUFFIX) if mirrored else ("",)
     return {name for name in names if all(name + ending in there for ending in endings)}

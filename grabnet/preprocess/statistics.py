@@ -6,11 +6,11 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from grabnet.data.sequences import N_PARTS, Sequence
-from grabnet.preprocess.filtering import LEFT_HAND, PALM, RIGHT_HAND, part_counts, touching
+from grabnet.body.skeleton import HEAD_PARTS, LEFT_HAND_PARTS, N_PARTS, PARTS, RIGHT_HAND_PARTS
+from grabnet.data.sequences import Sequence
+from grabnet.preprocess.filtering import part_counts, touching
 
-HEAD = (13, 16, 23, 24, 25)  # neck, head, jaw and eyes
-# The paper's contact frames (supplement; ref. 8): the object so far from its first height, so many body vertices in
+# The paper's contact frames (3.5; ref. 8): the object so far from its first height, so many body vertices in
 # contact.
 _LIFTED, _BODY_VERTICES = 0.005, 50
 
@@ -21,7 +21,8 @@ def finger_counts(labels: np.ndarray) -> Counts:
     """Of frames (N, V) of object labels: how many "frames" there are, and in how many each part of the right hand
     touches."""
     counts = part_counts(labels)
-    parts = {finger: mask.sum() for finger, mask in touching(counts).items()} | {"palm": (counts[:, PALM] > 0).sum()}
+    palm = counts[:, PARTS["right_wrist"]] > 0
+    parts = {finger: mask.sum() for finger, mask in touching(counts).items()} | {"palm": palm.sum()}
     return {"frames": len(labels)} | {part: int(n) for part, n in parts.items()}
 
 
@@ -34,7 +35,7 @@ def contact_counts(sequence: Sequence) -> Counts:
     lifted = np.abs(height - height[0]) >= _LIFTED
     labels = sequence.contact.object[lifted & ((sequence.contact.body > 0).sum(1) >= _BODY_VERTICES)]
     counts = part_counts(labels)
-    right, left, head = (counts[:, list(parts)].any(1) for parts in (RIGHT_HAND, LEFT_HAND, HEAD))
+    right, left, head = (counts[:, list(parts)].any(1) for parts in (RIGHT_HAND_PARTS, LEFT_HAND_PARTS, HEAD_PARTS))
     who = {"right_hand": right, "left_hand": left, "both_hands": right & left, "head": head}
     parts = finger_counts(labels[right])
     del parts["frames"]

@@ -7,7 +7,7 @@ from statistics import median
 
 import lightning as L
 
-from grabnet.sweeps.runs import Pruned
+from grabnet.training.ending import RunPruned
 from grabnet.training.history import Epoch, History, best_epoch, read_history
 
 
@@ -24,7 +24,7 @@ class MedianPruning(L.Callback):
         min_siblings: that must have come as far before any is ended.
 
     Raises:
-        Pruned: from the epoch's end, through `Trainer.fit`.
+        RunPruned: from the epoch's end, through `Trainer.fit`.
     """
 
     def __init__(self, siblings: str, objective: str, min_epochs: int, min_siblings: int):
@@ -36,7 +36,7 @@ class MedianPruning(L.Callback):
         others = [p for p in self.siblings.glob("*/") if p.resolve() != Path(trainer.default_root_dir).resolve()]
         verdict = self.verdict(history.epochs, [read_history(p) for p in others])
         if verdict := trainer.strategy.broadcast(verdict):  # no process may stay behind
-            raise Pruned(verdict)
+            raise RunPruned(verdict)
 
     def verdict(self, own: list[Epoch], others: list[list[Epoch]]) -> str | None:
         """Why a run with these epochs should end; None where it should go on."""

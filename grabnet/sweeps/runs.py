@@ -18,15 +18,12 @@ from omegaconf import DictConfig
 
 from grabnet.errors import UserError
 from grabnet.io.files import write_json
+from grabnet.training.ending import METRICS, RunPruned
 
-METRICS, OUTCOME = "metrics.json", "outcome.json"
+OUTCOME = "outcome.json"
 DONE, PRUNED, FAILED, UNFINISHED = "done", "pruned", "failed", "unfinished"
 
 log = logging.getLogger(__name__)
-
-
-class Pruned(Exception):  # noqa: N818, it is none
-    """Raised within a run that is not worth going on with; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +86,7 @@ class RecordOutcome(Callback):
             return
         folder = Path(config.hydra.runtime.output_dir)
         error = job_return._return_value  # its public twin would raise it
-        if isinstance(error, Pruned):
+        if isinstance(error, RunPruned):
             status, reason = PRUNED, str(error)
             log.info("%s pruned: %s", folder, reason)
         elif isinstance(error, UserError):

@@ -54,30 +54,33 @@ def read_checkpoint(path: str | Path) -> dict[str, Any]:
 
 
 def newest_whole(folder: str | Path) -> Path | None:
-    """The newest checkpoint in a folder that can be read, None where there is none at all.
-
-    Damaged ones are removed as soon as another is found, lest they take its place when they step aside.
+    """Find the newest checkpoint in a folder that can be read; None where there is none at all.
 
     Raises:
         UserError: there are checkpoints, and none can be read.
     """
-    damaged = []
-    for path in (Path(folder) / name for name in (LAST, PREVIOUS)):
-        if not path.exists():
-            continue
+    there = [path for path in (Path(folder) / name for name in (LAST, PREVIOUS)) if path.exists()]
+    for path in there:
         try:
             read_checkpoint(path)
         except UserError:
-            damaged.append(path)
             continue
-        for other in damaged:
-            log.warning("%s is damaged: going on from %s, the one before.", other, path.name)
-            other.unlink()
         return path
-    if damaged:
-        names = " and ".join(str(p) for p in damaged)
-        raise UserError(f"{names} cannot be read, and the run cannot go on: delete {folder} to begin it anew.")
+    if there:
+        names = " and ".join(map(str, there))
+        raise UserError(f"{names} cannot be read, and the run cannot go on: delete {folder} to start from scratch.")
     return None
+
+
+def drop_damaged(whole: Path) -> None:
+    """Remove a newer checkpoint than the one that a run goes on from: `newest_whole` found it damaged.
+
+    It would otherwise step aside for the next one and replace the whole one.
+    """
+    newer = whole.with_name(LAST)
+    if whole.name != LAST and newer.exists():
+        log.warning("%s is damaged: going on from %s, the one before.", newer, whole.name)
+        newer.unlink()
 
 
 def _save(checkpoint: dict[str, Any], file: Any) -> None:

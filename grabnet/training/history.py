@@ -10,7 +10,6 @@ from typing import Any
 
 import lightning as L
 
-from grabnet.errors import UserError
 from grabnet.io.files import write_json
 
 HISTORY = "history.json"
@@ -21,26 +20,17 @@ Epoch = dict[str, float]
 class History(L.Callback):
     """Writes `history.json` into the run folder: for each epoch its number, the seconds of training until its end (of
     earlier attempts too) and every metric.
-
-    Args:
-        objective: the metric that the run is judged by; smaller is better.
     """
 
-    def __init__(self, objective: str):
-        self.objective = objective
+    def __init__(self):
         self.epochs: list[Epoch] = []
 
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        # Lightning forgets that a run had stopped early, and would train it an epoch longer each time it goes on.
-        trainer.should_stop |= any(getattr(callback, "stopped_epoch", 0) for callback in trainer.callbacks)
-        self._begun = time.monotonic() - (self.epochs[-1]["seconds"] if self.epochs else 0.0)
+        self._start = time.monotonic() - (self.epochs[-1]["seconds"] if self.epochs else 0.0)
 
     def on_train_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         metrics = {name: float(value) for name, value in trainer.callback_metrics.items()}
-        validated = (trainer.current_epoch + 1) % (trainer.check_val_every_n_epoch or 1) == 0
-        if self.objective not in metrics and validated and not trainer.should_stop:  # for which time may have run out
-            raise UserError(f"objective={self.objective} is not measured; what is: {', '.join(sorted(metrics))}.")
-        seconds = round(time.monotonic() - self._begun, 2)
+        seconds = round(time.monotonic() - self._start, 2)
         self.epochs.append({"epoch": trainer.current_epoch, "seconds": seconds, **metrics})
         if trainer.is_global_zero:
             write_json(Path(trainer.default_root_dir) / HISTORY, self.epochs)

@@ -25,7 +25,7 @@ from grabnet.models.grabnet import GrabNet
 from grabnet.models.refinenet import RefineNet
 from grabnet.models.trained import find_network
 from grabnet.models.weights import check_hand, load_network
-from grabnet.training.refine_inputs import CoarseNetGuesses
+from grabnet.training.refine_inputs import RefineInput
 
 MakeOptimizer = Callable[[Iterable[nn.Parameter]], torch.optim.Optimizer]
 MakeScheduler = Callable[[torch.optim.Optimizer], Any]
@@ -192,7 +192,7 @@ class RefineNetTraining(GraspTraining):
     Args:
         hand: the hand model. contact: (V,) share of training frames in which each vertex touches.
         iterations, width, n_hidden, dropout: of the network.
-        source: a batch → hands near its true ones, which RefineNet starts from.
+        source: makes the hands near a batch's true ones that RefineNet starts from.
         loss: makes the loss, given hand and contact.
         optimizer, scheduler: as in `GraspTraining`.
     """
@@ -208,14 +208,13 @@ class RefineNetTraining(GraspTraining):
         width: int,
         n_hidden: int,
         dropout: float,
-        source: Callable[[GraspBatch], HandParameters],
+        source: RefineInput,
         loss: Callable[..., RefineNetLoss],
         optimizer: MakeOptimizer,
         scheduler: MakeScheduler,
     ):
         network = RefineNet(hand, iterations, width, n_hidden, dropout)
-        trained = {"CoarseNet": source.file} if isinstance(source, CoarseNetGuesses) else {}
-        super().__init__(network, loss(hand=hand, contact=contact), hand, optimizer, scheduler, trained)
+        super().__init__(network, loss(hand=hand, contact=contact), hand, optimizer, scheduler, source.trained_from)
         self.source = source
 
     def grasp(self, batch: GraspBatch) -> Tensor:

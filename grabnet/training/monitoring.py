@@ -17,10 +17,9 @@ from grabnet.body.anatomy import Anatomy
 from grabnet.contact.contacts import Contacts
 from grabnet.data.batches import GraspBatch
 from grabnet.data.datamodule import GraspDataModule
-from grabnet.errors import UserError
-from grabnet.generation.gallery import both_sides
 from grabnet.training.modules import GraspTraining
 from grabnet.visual.pictures import SKIN, Shape, can_render, contact_sheet, save_image
+from grabnet.visual.views import both_sides
 
 log = logging.getLogger(__name__)
 
@@ -114,18 +113,6 @@ class SpeedMonitor(L.Callback):
             figures = {"speed/step_ms": 1000 * seconds / self.steps, "speed/frames_per_s": self.frames / seconds}
             for logger in trainer.loggers:  # only told: no metric of the epoch, which would be another in every run
                 logger.log_metrics(figures | {"epoch": trainer.current_epoch}, step=trainer.global_step)
-
-
-def wandb_logger(**options: Any) -> WandbLogger:
-    """Lightning's logger for wandb.
-
-    Raises:
-        UserError: wandb is not installed.
-    """
-    try:
-        return WandbLogger(**options)
-    except ModuleNotFoundError:
-        raise UserError("logger=wandb needs wandb: pip install -e '.[wandb]'.") from None
 
 
 def _evenly(n: int, of: int) -> Tensor:

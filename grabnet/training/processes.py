@@ -41,10 +41,10 @@ class OwnProcesses(LightningEnvironment):
     def creates_processes_externally(self) -> bool:
         return True  # not by Lightning
 
-    def start(self, n: int, config: Path) -> list[subprocess.Popen]:
-        """Start the n - 1 others on the run that `config` describes. They print nothing but errors."""
+    def start(self, n: int, module: str, config: Path) -> list[subprocess.Popen]:
+        """Start the n - 1 others, `python -m <module> <config>` each. They print nothing but errors."""
         shared = os.environ | {"MASTER_ADDR": self.main_address, "MASTER_PORT": str(self.main_port)}
-        command = [sys.executable, "-m", "grabnet.training.run", str(config)]
+        command = [sys.executable, "-m", module, str(config)]
         return [
             subprocess.Popen(command, env=shared | {"LOCAL_RANK": str(rank)}, stdout=subprocess.DEVNULL)
             for rank in range(1, n)
@@ -52,13 +52,14 @@ class OwnProcesses(LightningEnvironment):
 
 
 @contextmanager
-def together(trainer: L.Trainer, config: Path) -> Iterator[None]:
+def together(trainer: L.Trainer, module: str, config: Path) -> Iterator[None]:
     """Run the block in all processes of a trainer: each waits at its start for the first one.
 
     That one comes here when all that the others read has been written. Does nothing where there is but one.
 
     Args:
         trainer: made with `OwnProcesses` among its plugins unless the processes were started from outside.
+        module: what takes part in a run as `python -m <module> <config>`.
         config: file of the run's config.
 
     Raises:
@@ -72,7 +73,7 @@ def together(trainer: L.Trainer, config: Path) -> Iterator[None]:
     own = isinstance(environment, OwnProcesses)
     if own and trainer.num_nodes > 1:
         raise UserError(f"trainer.num_nodes={trainer.num_nodes} needs srun or torchrun to start the processes.")
-    others = environment.start(trainer.num_devices, config) if own and trainer.is_global_zero else []
+    others = environment.start(trainer.num_devices, module, config) if own and trainer.is_global_zero else []
     over = threading.Event()
     threading.Thread(target=_watch, args=(others, over), daemon=True).start()
     try:

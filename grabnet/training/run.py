@@ -28,13 +28,14 @@ from grabnet.io.files import DISK_ERRORS, replacing, sha256, write_json
 from grabnet.io.provenance import provenance
 from grabnet.io.recipes import difference
 from grabnet.models.weights import FILE_NAME, save_network
-from grabnet.sweeps.runs import METRICS, Pruned
 from grabnet.training.acceleration import compile_blocks, denormals_flushed, set_matmul_precision
-from grabnet.training.checkpoints import BEST, AtomicCheckpointIO, newest_whole, read_checkpoint
+from grabnet.training.checkpoints import BEST, AtomicCheckpointIO, drop_damaged, newest_whole, read_checkpoint
+from grabnet.training.ending import METRICS, RunPruned
 from grabnet.training.history import History, best_epoch
 from grabnet.training.modules import GraspTraining
 from grabnet.training.processes import OwnProcesses, started_from_outside, together
 from grabnet.training.rehearsal import rehearse
+from grabnet.training.stopping import ObjectiveMeasured, StopStaysStopped
 
 log = logging.getLogger(__name__)
 
@@ -72,33 +73,32 @@ def _train(cfg: DictConfig, run_dir: Path) -> dict[str, float]:
     # Said explicitly, so that MKL does not choose another number of threads, and order of sums, from call to call.
     torch.set_num_threads(torch.get_num_threads())
     data: GraspDataModule = instantiate(cfg.data, hand=instantiate(cfg.hand_model))
-    history = History(cfg.objective)
+    history, resumed = History(), None
     trainer = _trainer(cfg, history)
     if trainer.is_global_zero:
-        if cfg.resume and newest_whole(run_dir / "checkpoints"):
+        if cfg.resume and (resumed := newest_whole(run_dir / "checkpoints")):
             _refuse_other_settings(run_dir / "config.yaml", cfg)
+            drop_damaged(resumed)
         with replacing(run_dir / "config.yaml") as temporary:
             OmegaConf.save(cfg, temporary, resolve=True)
         data.prepare_data()
         data.setup()
     log.disabled = not trainer.is_global_zero
-    with together(trainer, run_dir / "config.yaml"):
+    with together(trainer, __spec__.name, run_dir / "config.yaml"):
         data.setup()
-        return _fit(cfg, run_dir, data, trainer, history)
+        return _fit(cfg, run_dir, data, trainer, history, trainer.strategy.broadcast(resumed))
 
 
 def _fit(
-    cfg: DictConfig, run_dir: Path, data: GraspDataModule, trainer: L.Trainer, history: History
+    cfg: DictConfig, run_dir: Path, data: GraspDataModule, trainer: L.Trainer, history: History, resumed: Path | None
 ) -> dict[str, float]:
-    """Each process's part, once the data is there."""
+    """Each process's part, once the data is there, from the checkpoint `resumed` where there is one."""
     L.seed_everything(cfg.seed, verbose=False)
     module: GraspTraining = instantiate(cfg.model, hand=data.hand, contact=data.contact)
     rehearse(module, data)
     if cfg.compile:
         compile_blocks(module.network)
-    checkpoints = run_dir / "checkpoints"
     if trainer.is_global_zero:
-        resumed = newest_whole(checkpoints) if cfg.resume else None
         record = provenance(
             seed=cfg.seed,
             data=data.record(),
@@ -108,7 +108,6 @@ def _fit(
         if resumed:
             record |= _earlier(run_dir / PROVENANCE)
         write_json(run_dir / PROVENANCE, record)
-    resumed = trainer.strategy.broadcast(resumed if trainer.is_global_zero else None)
     if resumed:
         log.info("Going on from %s.", resumed)
     trainer.fit(module, datamodule=data, ckpt_path=resumed)
@@ -117,8 +116,8 @@ def _fit(
         raise UserError(f"{run_dir} ended before its first epoch did: raise trainer.max_epochs or trainer.max_time.")
     if metrics is None:
         raise UserError(f"{run_dir} diverged: {cfg.objective} was never finite; lower model.optimizer.lr.")
-    if (checkpoints / BEST).exists():
-        module.load_state_dict(read_checkpoint(checkpoints / BEST)["state_dict"])
+    if (best := run_dir / "checkpoints" / BEST).exists():
+        module.load_state_dict(read_checkpoint(best)["state_dict"])
     if cfg.test:
         trainer.test(module, datamodule=data, verbose=False)
         metrics = metrics | {name: float(value) for name, value in trainer.callback_metrics.items()}
@@ -154,14 +153,18 @@ def _earlier(path: Path) -> dict[str, Any]:
 def _trainer(cfg: DictConfig, history: History) -> L.Trainer:
     options = {
         "default_root_dir": cfg.run_dir,
-        "callbacks": [history] + [instantiate(c) for c in cfg.callbacks.values() if c is not None],
-        "logger": [instantiate(c) for c in cfg.logger.values() if c is not None],
+        "callbacks": [StopStaysStopped(), ObjectiveMeasured(cfg.objective), history, *_instances(cfg.callbacks)],
+        "logger": _instances(cfg.logger),
         "plugins": [AtomicCheckpointIO()] + ([] if started_from_outside() else [OwnProcesses()]),
     }
     try:
         return instantiate(cfg.trainer, **options)
     except InstantiationException as error:  # such as for want of a GPU
         raise UserError(f"The trainer cannot be had as configured: {' '.join(str(error.__cause__).split())}") from None
+
+
+def _instances(group: DictConfig) -> list[Any]:
+    return [instantiate(config) for config in group.values() if config is not None]
 
 
 @contextmanager
@@ -195,5 +198,5 @@ if __name__ == "__main__":
         train(OmegaConf.load(sys.argv[1]))
     except UserError as error:
         fail(error)
-    except Pruned:  # the first process tells
+    except RunPruned:  # the first process reports it
         pass

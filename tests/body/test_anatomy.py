@@ -8,8 +8,9 @@ import torch
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from grabnet.body.anatomy import ANGLE_LIMITS, FINGERS, JOINTS, Anatomy, boundary_loop, vertex_normals
+from grabnet.body.anatomy import ANGLE_LIMITS, FINGERS, Anatomy, boundary_loop, vertex_normals
 from grabnet.body.hand import HandModel, HandParameters
+from grabnet.body.skeleton import HAND_JOINTS
 from grabnet.geometry.rotations import axis_angle_to_matrix
 
 SIDES = ("right", "left")
@@ -63,7 +64,7 @@ def test_abduction_leads_fingers_to_the_thumbs_side_and_the_thumb_out_of_the_pal
 def test_twist_keeps_the_thumb_where_it_points(body):
     hand, anatomy = body
     move = (posed(hand, anatomy, thumb_cmc_twist=0.4) - hand.v_template).norm(dim=-1)
-    joint = hand.rest_joints(hand.v_template)[JOINTS.index("thumb2")]
+    joint = hand.rest_joints(hand.v_template)[HAND_JOINTS.index("thumb2")]
     at_joint = (hand.v_template - joint).norm(dim=-1).argmin()
     assert move[at_joint] < 0.01
 
@@ -125,7 +126,7 @@ def test_angles_become_the_rotations_scipy_makes(body):
         expected[f"{finger}1"] = turn(f"{finger}_mcp_abduction", f"{finger}_mcp_flexion")
         expected |= {f"{finger}2": turn(f"{finger}_pip"), f"{finger}3": turn(f"{finger}_dip")}
     for name, matrix in expected.items():
-        np.testing.assert_allclose(pose[4, 2, JOINTS.index(name) - 1], matrix, atol=1e-6, err_msg=name)
+        np.testing.assert_allclose(pose[4, 2, HAND_JOINTS.index(name) - 1], matrix, atol=1e-6, err_msg=name)
 
 
 def test_angle_joints_are_the_joints_that_turn(body):
@@ -171,8 +172,8 @@ def test_pads_face_inwards_and_lie_on_their_bones(body):
     normals = vertex_normals(hand.v_template, hand.faces)
     for name, pad in anatomy.pads.items():
         assert len(pad) >= 5, name
-        if name in JOINTS:
-            assert (anatomy.bone[pad] == JOINTS.index(name)).all()
+        if name in HAND_JOINTS:
+            assert (anatomy.bone[pad] == HAND_JOINTS.index(name)).all()
         if not name.startswith("thumb") and name != "index_side":
             assert (normals[pad] @ PALMAR > 0.3).all(), name
     palm = [set(anatomy.pads[f"palm_{part}"].tolist()) for part in ("thenar", "hypothenar", "mcp")]

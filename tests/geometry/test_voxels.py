@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
-from grabnet.geometry.voxels import Crossings, Runs, inside
+from grabnet.geometry.voxels import RayCrossings, Runs, inside
 
 
 def voxels(runs: Runs) -> set[tuple[int, int, int]]:
@@ -20,7 +20,7 @@ def voxels(runs: Runs) -> set[tuple[int, int, int]]:
 
 
 def of(mesh: trimesh.Trimesh, spacing: float, at_least: int = 1) -> Runs:
-    return Crossings.of(mesh.vertices, mesh.faces, spacing).inside(at_least)
+    return RayCrossings.of(mesh.vertices, mesh.faces, spacing).inside(at_least)
 
 
 @settings(deadline=None, max_examples=12)
@@ -37,21 +37,21 @@ def test_the_same_voxels_as_asked_one_by_one(seed, spacing):
     low, high = np.floor(mesh.bounds / spacing).astype(int)
     index = np.stack(np.meshgrid(*map(np.arange, low, high + 1), indexing="ij"), -1).reshape(-1, 3)
     distance = MeshQuery(mesh).signed_distance(torch.tensor((index + 0.5) * spacing, dtype=torch.float32)).numpy()
-    found = voxels(Crossings.of(mesh.vertices, mesh.faces, spacing).inside())
+    found = voxels(RayCrossings.of(mesh.vertices, mesh.faces, spacing).inside())
     for voxel, d in zip(map(tuple, index.tolist()), distance, strict=True):
         if abs(d) > 1e-5:
             assert (voxel in found) == (d < 0)
-    assert len(Crossings.of(mesh.vertices, mesh.faces, spacing).inside()) == len(found)
+    assert RayCrossings.of(mesh.vertices, mesh.faces, spacing).inside().n_voxels == len(found)
     turned = Mesh(mesh.vertices, mesh.faces[:, ::-1])
-    assert voxels(Crossings.of(turned.vertices, turned.faces, spacing).inside()) == found
+    assert voxels(RayCrossings.of(turned.vertices, turned.faces, spacing).inside()) == found
 
 
 def test_faces_along_the_lines_and_through_the_centres():
     """A box whose faces pass exactly through voxel centres: half-open, so that it holds as many as its volume."""
     box = trimesh.creation.box((4, 6, 8)).subdivide().subdivide()
-    assert len(of(box, 1.0)) == 4 * 6 * 8
+    assert of(box, 1.0).n_voxels == 4 * 6 * 8
     box.apply_translation((0.5, 0.5, 0.5))
-    assert len(of(box, 1.0)) == 4 * 6 * 8
+    assert of(box, 1.0).n_voxels == 4 * 6 * 8
 
 
 def test_two_balls_share_a_lens():
@@ -63,11 +63,11 @@ def test_two_balls_share_a_lens():
     lens = np.pi * (4 * r + d) * (2 * r - d) ** 2 / 12
     assert one.shared(other) * spacing**3 == pytest.approx(lens, rel=0.005)
     assert one.shared(other) == other.shared(one) == len(voxels(one) & voxels(other))
-    assert one.shared(one) == len(one)
+    assert one.shared(one) == one.n_voxels
     # As one mesh, the lens is where it overlaps itself.
     together = trimesh.util.concatenate(balls)
-    assert len(of(together, spacing, at_least=2)) == one.shared(other)
-    assert len(of(together, spacing)) == len(one) + len(other) - one.shared(other)
+    assert of(together, spacing, at_least=2).n_voxels == one.shared(other)
+    assert of(together, spacing).n_voxels == one.n_voxels + other.n_voxels - one.shared(other)
 
 
 def test_nothing_in_common():
@@ -76,7 +76,7 @@ def test_nothing_in_common():
     assert of(ball, 0.1).shared(of(far, 0.1)) == of(far, 0.1).shared(of(ball, 0.1)) == 0
     speck = trimesh.creation.icosphere(2, 1e-4)
     speck.apply_translation((0.01, 0.01, 0.01))
-    assert len(of(speck, 0.1)) == 0
+    assert of(speck, 0.1).n_voxels == 0
     assert of(speck, 0.1).shared(of(ball, 0.1)) == of(ball, 0.1).shared(of(speck, 0.1)) == 0
 
 
@@ -84,7 +84,7 @@ def test_an_open_mesh_is_closed_as_by_a_membrane():
     ball = trimesh.creation.icosphere(3)
     bowl = Mesh(ball.vertices, ball.faces[ball.triangles_center[:, 2] < 0])
     assert not bowl.is_closed
-    volume = len(inside(bowl, 0.05)) * 0.05**3
+    volume = inside(bowl, 0.05).n_voxels * 0.05**3
     assert 0.9 * 2 * np.pi / 3 < volume < 1.25 * 2 * np.pi / 3
     closed = Mesh(ball.vertices, ball.faces)
     assert voxels(inside(closed, 0.05)) == voxels(of(ball, 0.05))

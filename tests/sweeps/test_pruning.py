@@ -9,7 +9,7 @@ import pytest
 from grabnet.cli.entry import compose
 from grabnet.io.files import write_json
 from grabnet.sweeps.pruning import MedianPruning
-from grabnet.sweeps.runs import Pruned
+from grabnet.training.ending import RunPruned
 from grabnet.training.history import HISTORY
 from grabnet.training.run import train
 from tests.tiny import tiny_overrides
@@ -43,5 +43,5 @@ def test_a_hopeless_run_ends_at_its_second_epoch(tiny_dataset, tmp_path, cache_d
         write_json(tmp_path / name / HISTORY, epochs(0.1, 0.1))
     more = ("callbacks=pruning", "callbacks.pruning.min_epochs=2", "callbacks.pruning.min_siblings=3")
     overrides = [*tiny_overrides(tiny_dataset, tmp_path / "own", cache_dir), *more, f"sweep_dir={tmp_path}"]
-    with pytest.raises(Pruned, match=r"val/loss is .* after 2 epochs; the median of 3 other runs is 0\.1\."):
+    with pytest.raises(RunPruned, match=r"val/loss is .* after 2 epochs; the median of 3 other runs is 0\.1\."):
         train(compose("train", [o for o in overrides if o != "callbacks.progress_bar=null"]))

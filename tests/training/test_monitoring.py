@@ -13,7 +13,7 @@ from grabnet.data.datamodule import GraspDataModule
 from grabnet.losses.grasp import RefineNetLoss
 from grabnet.training.modules import RefineNetTraining
 from grabnet.training.monitoring import GraspMonitor
-from grabnet.training.noise import PoseNoise
+from grabnet.training.refine_inputs import PoseNoise
 from grabnet.visual.pictures import can_render
 
 WEIGHTS = {"vertex": 1.0, "edge": 1.0, "hand_to_object": 1.0, "kl": 0.0, "root": 2.5, "contact_weights": "learned"}

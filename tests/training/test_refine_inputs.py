@@ -9,8 +9,7 @@ from grabnet.errors import UserError
 from grabnet.geometry.bps import BPS
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.weights import save_network
-from grabnet.training.noise import PoseNoise
-from grabnet.training.refine_inputs import CoarseNetGuesses
+from grabnet.training.refine_inputs import CoarseNetGuesses, PoseNoise
 
 
 @pytest.fixture(scope="module")

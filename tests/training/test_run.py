@@ -198,6 +198,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(tiny_dataset, tmp_path
     last, previous = tmp_path / "checkpoints/last.ckpt", tmp_path / "checkpoints/last.previous.ckpt"
     assert read_checkpoint(last)["epoch"] == 2 and read_checkpoint(previous)["epoch"] == 1
     last.write_bytes(last.read_bytes()[:-100])
+    assert newest_whole(last.parent) == previous and last.exists()  # asking changes nothing
     train(compose("train", overrides))
     told = [r.message for r in caplog.records if r.name == "grabnet.training.checkpoints"]
     assert told == [f"{last} is damaged: going on from last.previous.ckpt, the one before."]

@@ -40,7 +40,7 @@ class Posture:
         self.settings = f"{spacing}"
 
     def __call__(self, scene: Scene) -> dict[str, np.ndarray]:
-        twice = [len(c.inside(at_least=2)) for c in scene.crossings(self.spacing)]
+        twice = [c.inside(at_least=2).n_voxels for c in scene.crossings(self.spacing)]
         found = {metric.name: np.full(len(scene.hands), np.nan) for metric in self.metrics}
         found["self_volume"] = 1e6 * self.spacing**3 * np.array(twice, float)
         if scene.hands.hand_pose is not None:

@@ -1,4 +1,4 @@
-"""Protocol `reconstruction` (paper 5.1, Table of v2v errors; ref. 8): how well the networks give true grasps back.
+"""Protocol `reconstruction` (paper 4, Table of v2v errors; ref. 8): how well the networks give true grasps back.
 
 `v2v` is the mean Euclidean distance between the vertices of a true hand and its reconstruction, `v2v_mae` the mean
 absolute difference of their coordinates, mm. CoarseNet reconstructs each grasp from its posterior's mean; RefineNet

@@ -1,7 +1,7 @@
 """What others have reported, to stand beside: on other data and often by other protocols, so rough marks only (ref. 8,
 9)."""
 
-# mm per coordinate (v2v_mae), train, val, test, on GRAB: the paper, 5.1.
+# mm per coordinate (v2v_mae), train, val, test, on GRAB: paper 4.
 RECONSTRUCTION = {"CoarseNet": (12.1, 14.1, 18.4), "RefineNet": (3.7, 4.1, 4.4)}
 
 # Closest ground truth on GRAB: vertices in cm, contact in %; the paper, Table 2.

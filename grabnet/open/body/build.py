@@ -11,10 +11,11 @@ from scipy.spatial import cKDTree
 
 from grabnet.body.anatomy import vertex_normals
 from grabnet.body.hand import OPEN_HANDS, HandModel
+from grabnet.body.skeleton import JOINTS, LEFT_HAND_JOINTS, MIRROR_JOINT, PARENTS, RIGHT_HAND_JOINTS
 from grabnet.io.files import replacing
 from grabnet.io.npz import read_npz
+from grabnet.open.body.bones import merged_weights
 from grabnet.open.body.gluing import Gluing
-from grabnet.open.body.skeleton import JOINTS, MIRRORED, PARENTS, RIGHT_HAND, merged_weights
 from grabnet.open.body.source import AdultBodies, sample_bodies
 from grabnet.open.body.tpose import RestBodies, to_rest_pose
 from grabnet.open.grasps.store import load_open_grasps
@@ -28,7 +29,7 @@ _REFLECT = np.array([-1, 1, 1])
 
 
 @dataclass(frozen=True)
-class Report:
+class BodyReport:
     """Adults left out of the fit (the last quarter), in millimetres, mean and maximum; shares of variance.
 
     joint_error: regressed joints of the trunk and arms. shape_error: vertices, with the best betas.
@@ -39,7 +40,7 @@ class Report:
     explained: tuple[float, ...]
 
 
-def build_body(folder: str | Path, n_adults: int = 400, seed: int = 0) -> Report:
+def build_body(folder: str | Path, n_adults: int = 400, seed: int = 0) -> BodyReport:
     """Write SMPLX_NEUTRAL.npz and subjects.npz into `folder`; needs anny (about two minutes).
 
     The adults must be those of the open hand (its `n_adults` and `seed`): its shapes are carried over to their hands.
@@ -54,7 +55,7 @@ def build_body(folder: str | Path, n_adults: int = 400, seed: int = 0) -> Report
     rest, mirror = _symmetric(to_rest_pose(adults), adults.faces)
     faces = adults.faces
     glue = Gluing(rest.vertices.mean(0), faces, hand_ids)
-    right = glue(rest.vertices, hands.vertices + rest.joints[:, None, 21])
+    right = glue(rest.vertices, hands.vertices + rest.joints[:, None, RIGHT_HAND_JOINTS[0]])
     vertices = np.where((rest.vertices[..., :1] < 0), right, right[:, mirror] * _REFLECT)
     vertices -= rest.joints[:, :1]
     joints = rest.joints - rest.joints[:, :1]
@@ -65,14 +66,14 @@ def build_body(folder: str | Path, n_adults: int = 400, seed: int = 0) -> Report
     in_hand = hand_ids[_vertices_of(model, hands)]
     regressor = np.zeros((len(JOINTS), len(template)))
     some = slice(0, fitted, 3)
-    central = [j for j in range(25) if MIRRORED[j] >= j and j not in (20, 21)]
+    central = [j for j, other in enumerate(MIRROR_JOINT) if other >= j and j not in LEFT_HAND_JOINTS]
     found = joint_regressor(
         vertices[some], joints[some][:, central], weights[:, central],
         [central.index(PARENTS[j]) if PARENTS[j] in central else 0 for j in central], bend=400,
     )  # fmt: skip
     regressor[central] = found
-    regressor[np.ix_(RIGHT_HAND, in_hand)] = model.J_regressor.double().numpy()
-    for j, other in enumerate(MIRRORED):
+    regressor[np.ix_(RIGHT_HAND_JOINTS, in_hand)] = model.J_regressor.double().numpy()
+    for j, other in enumerate(MIRROR_JOINT):
         if not regressor[j].any() or j == other:
             regressor[j] = (regressor[j] + regressor[other][mirror]) / (1 + (j == other))
 
@@ -80,10 +81,10 @@ def build_body(folder: str | Path, n_adults: int = 400, seed: int = 0) -> Report
     body = {
         "v_template": template.astype(np.float32),
         "shapedirs": np.concatenate([shapedirs, np.zeros((len(template), 3, N_EXPRESSIONS))], -1).astype(np.float16),
-        "posedirs": np.zeros((len(template), 3, 9 * 54), np.int8),
+        "posedirs": np.zeros((len(template), 3, 9 * (len(JOINTS) - 1)), np.int8),
         "J_regressor": regressor.astype(np.float32),
         "weights": weights.astype(np.float32),
-        "kintree_table": np.array([[2**32 - 1, *PARENTS[1:]], range(55)], np.int64),
+        "kintree_table": np.array([[2**32 - 1, *PARENTS[1:]], range(len(JOINTS))], np.int64),
         "f": faces.astype(np.uint32),
         "lmk_faces_idx": np.zeros(51, np.int64),
         "lmk_bary_coords": np.full((51, 3), 1 / 3, np.float32),
@@ -106,7 +107,7 @@ def build_body(folder: str | Path, n_adults: int = 400, seed: int = 0) -> Report
     }
     _write(Path(folder) / "subjects.npz", subjects)
     unexplained = (offset - basis @ betas.T).T[fitted:].reshape(n_adults - fitted, -1, 3)
-    return Report(
+    return BodyReport(
         _mean_and_max((found @ vertices[fitted:]) - joints[fitted:][:, central]),
         _mean_and_max(unexplained),
         tuple(explained.round(4).tolist()),
@@ -148,7 +149,7 @@ def _symmetric(rest: RestBodies, faces: np.ndarray) -> tuple[RestBodies, np.ndar
     mean[:, 0] -= rest.joints[:, 0, 0].mean()
     mirror = mirror_images(mean, faces)
     vertices = (rest.vertices + rest.vertices[:, mirror] * _REFLECT) / 2
-    joints = (rest.joints + rest.joints[:, MIRRORED] * _REFLECT) / 2
+    joints = (rest.joints + rest.joints[:, MIRROR_JOINT] * _REFLECT) / 2
     return RestBodies(vertices, joints), mirror
 
 
@@ -173,11 +174,11 @@ def _weights(adults: AdultBodies, hands: FlatHands, ids: np.ndarray, mirror: np.
     """(V, 55) MakeHuman's, but the open hand's own for the fingers; exactly symmetric."""
     weights = merged_weights(adults.weights, adults.bones, adults.parents)
     behind = weights[ids]
-    behind[:, list(RIGHT_HAND[1:])] = 0
-    behind[behind.sum(1) == 0, 21] = 1
+    behind[:, list(RIGHT_HAND_JOINTS[1:])] = 0
+    behind[behind.sum(1) == 0, RIGHT_HAND_JOINTS[0]] = 1
     weights[ids] = behind / behind.sum(1, keepdims=True) * hands.weights[:, :1]
-    weights[ids[:, None], RIGHT_HAND[1:]] = hands.weights[:, 1:]
-    other = weights[mirror][:, MIRRORED]
+    weights[ids[:, None], RIGHT_HAND_JOINTS[1:]] = hands.weights[:, 1:]
+    other = weights[mirror][:, MIRROR_JOINT]
     in_left = np.isin(np.arange(len(weights)), mirror[ids])
     in_right = np.isin(np.arange(len(weights)), ids)
     weights = np.where(in_left[:, None], other, np.where(in_right[:, None], weights, (weights + other) / 2))

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from grabnet.body.hand import HandModel
+from grabnet.body.skeleton import LEFT_HAND_JOINTS, RIGHT_HAND_JOINTS
 from grabnet.body.whole import OPEN_BODY, BodyModel
 from grabnet.geometry.mesh import Mesh, save_mesh
 from grabnet.io.npz import read_npz
@@ -41,7 +42,7 @@ def open_subjects(body: BodyModel, grasps: OpenGrasps) -> list[Subject]:
     stored = read_npz(OPEN_BODY / "subjects.npz")
     hand = HandModel.open()
     faces, template = body.faces.numpy(), body.v_template.numpy()
-    sides = (("right_hand", 21, np.ones(3)), ("left_hand", 20, _REFLECT))
+    sides = (("right_hand", RIGHT_HAND_JOINTS[0], np.ones(3)), ("left_hand", LEFT_HAND_JOINTS[0], _REFLECT))
     gluings = [Gluing(template, faces, stored[name]) for name, *_ in sides]
     subjects = []
     for name, gender, betas, own in zip(grasps.subjects, grasps.genders, grasps.betas, stored["betas"], strict=True):

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from grabnet.open.body.skeleton import JOINTS, bone_of
+from grabnet.body.skeleton import JOINTS
+from grabnet.open.body.bones import bone_of
 from grabnet.open.body.source import AdultBodies
 
 

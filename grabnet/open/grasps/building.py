@@ -4,15 +4,30 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
+import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+from torch import Tensor
 
+from grabnet.body.hand import OPEN_HANDS
 from grabnet.errors import UserError
-from grabnet.open.grasps.store import OpenGrasps, write_asset
-from grabnet.open.grasps.synthesise import ObjectGrasps, SynthesisConfig, subject_betas, synthesise
+from grabnet.geometry.rotations import matrix_to_axis_angle
+from grabnet.io.files import sha256, write_json
+from grabnet.io.provenance import provenance
+from grabnet.open.grasps.proposals import KIND_NAMES
+from grabnet.open.grasps.store import OpenGrasps, save_open_grasps
+from grabnet.open.grasps.synthesise import (
+    GENDERS,
+    SUBJECTS,
+    ObjectGrasps,
+    SynthesisConfig,
+    subject_betas,
+    synthesise,
+)
 from grabnet.open.objects import OBJECTS
 
 _COLUMNS = {
@@ -62,6 +77,53 @@ def build_grasps(
     grasps = write_asset(Path(path), found, subject_betas(config, seed), config, seed)
     console.print(_table(found))
     console.print(f"Wrote {len(grasps)} grasps of {len(found)} objects to {path}.")
+    return grasps
+
+
+def collect(found: Sequence[ObjectGrasps], betas: Tensor, config: SynthesisConfig, seed: int) -> OpenGrasps:
+    """One `OpenGrasps` of the `ObjectGrasps` of all objects, sorted by object name."""
+    found = sorted(found, key=lambda o: o.name)
+    number = torch.cat([torch.full((len(o.kind),), i) for i, o in enumerate(found)])
+    return OpenGrasps(
+        tuple(o.name for o in found),
+        SUBJECTS,
+        GENDERS,
+        KIND_NAMES,
+        number,
+        torch.cat([o.subject for o in found]),
+        torch.cat([o.kind for o in found]),
+        torch.cat([o.clears_table for o in found]),
+        torch.cat([o.pose.angles for o in found]),
+        matrix_to_axis_angle(torch.cat([o.pose.rotation for o in found])),
+        torch.cat([o.transl for o in found]),
+        betas,
+        {
+            "seed": seed,
+            "hand_sha256": sha256(OPEN_HANDS / "MANO_RIGHT.npz"),
+            "object_sha256": {o.name: o.mesh_sha256 for o in found},
+            "config": asdict(config),
+        },
+    )
+
+
+def write_asset(
+    path: Path, found: Sequence[ObjectGrasps], betas: Tensor, config: SynthesisConfig, seed: int
+) -> OpenGrasps:
+    """Write the grasp file and beside it `grasps.json` (provenance) and `report.json` (a row per object)."""
+    grasps = collect(found, betas, config, seed)
+    save_open_grasps(path, grasps)
+    write_json(
+        path.with_suffix(".json"),
+        provenance(
+            file=path.name,
+            sha256=sha256(path),
+            grasps=len(grasps),
+            source="synthesised by scripts/build_open.py grasps from the open hand and open objects; nothing recorded",
+            licence="CC0-1.0",
+            **grasps.meta,
+        ),
+    )
+    write_json(path.with_name("report.json"), {o.name: o.report for o in sorted(found, key=lambda o: o.name)})
     return grasps
 
 

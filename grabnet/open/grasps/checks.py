@@ -14,7 +14,7 @@ from grabnet.open.grasps.energy import overlaps, sphere_clearance
 from grabnet.open.grasps.posing import FOREARM_RADIUS, GraspHand, GraspPose, Posed
 from grabnet.open.grasps.posture import PostureConfig, discomfort
 from grabnet.open.grasps.proposals import Proposals
-from grabnet.open.grasps.scene import Scene
+from grabnet.open.grasps.scene import GraspScene
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class AcceptanceConfig:
     bend: float = 0.75  # radians by which neighbouring fingers may differ at knuckle or middle joint
 
 
-class Measures(NamedTuple):
+class GraspMeasures(NamedTuple):
     """Of B grasps; lengths in millimetres, negative distances inside.
 
     distance (B, V); contacts (B, 6) vertices in contact of each of FINGERS, then the palm; max_depth, mean_depth,
@@ -60,13 +60,13 @@ class Measures(NamedTuple):
 
 
 def measure(
-    scene: Scene,
+    scene: GraspScene,
     hand: GraspHand,
     pose: GraspPose,
     proposals: Proposals,
     config: AcceptanceConfig,
     posture: PostureConfig,
-) -> Measures:
+) -> GraspMeasures:
     """Measure grasps against what they were meant to be."""
     posed = hand.posed(pose)
     distance, normal = (x.clone() for x in scene.distance_and_normal(posed.vertices))
@@ -90,7 +90,7 @@ def measure(
     opposed = (surface[:, :1] * surface[:, 1:]).sum(-1).amin(1)
 
     flexion = pose.angles[:, :16].unflatten(1, (4, 4))[:, [0, 1, 3, 2]][..., [0, 2]]
-    return Measures(
+    return GraspMeasures(
         distance=distance,
         contacts=contacts.long(),
         max_depth=depth.amax(1),
@@ -107,11 +107,11 @@ def measure(
     )
 
 
-def verdicts(measures: Measures, on_table: Tensor, config: AcceptanceConfig) -> dict[str, Tensor]:
+def verdicts(measures: GraspMeasures, on_table: Tensor, config: AcceptanceConfig) -> dict[str, Tensor]:
     """(B,) bool for each condition: what a grasp must pass, all of them, to be accepted."""
     m = measures
     finger = m.contacts[:, :5] >= config.vertices_per_finger
-    bounded = {f.name for f in fields(config)} & set(Measures._fields) - {"below_table", "opposed", "forearm"}
+    bounded = {f.name for f in fields(config)} & set(GraspMeasures._fields) - {"below_table", "opposed", "forearm"}
     return {
         "thumb": finger[:, 0],
         "finger": finger[:, 1:].any(1),
@@ -121,7 +121,7 @@ def verdicts(measures: Measures, on_table: Tensor, config: AcceptanceConfig) -> 
     } | {name: getattr(m, name) <= getattr(config, name) for name in sorted(bounded)}
 
 
-def _through(scene: Scene, hand: GraspHand, posed: Posed, steps: int = 7) -> Tensor:
+def _through(scene: GraspScene, hand: GraspHand, posed: Posed, steps: int = 7) -> Tensor:
     """(B, V) mm of the line from the point inside the hand to each vertex, beyond where it first enters the object.
 
     Signed distance at the vertex can't tell that a fingertip has come out of a thin wall on the other side; this can.

@@ -13,7 +13,7 @@ from grabnet.open.grasps.energy import EnergyConfig, GraspEnergy
 from grabnet.open.grasps.posing import GraspHand, GraspPose
 from grabnet.open.grasps.posture import PostureConfig
 from grabnet.open.grasps.proposals import Proposals
-from grabnet.open.grasps.scene import Scene
+from grabnet.open.grasps.scene import GraspScene
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class OptimiserConfig:
 
 
 def optimise(
-    scene: Scene,
+    scene: GraspScene,
     hand: GraspHand,
     proposals: Proposals,
     limits: Tensor,

@@ -7,8 +7,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from grabnet.body.anatomy import FINGERS, JOINTS, Anatomy, vertex_normals
+from grabnet.body.anatomy import FINGERS, Anatomy, vertex_normals
 from grabnet.body.hand import HandModel, HandParameters
+from grabnet.body.skeleton import HAND_JOINTS
 from grabnet.body.skinning import forward_kinematics, skin, tree_levels
 
 FOREARM_RADIUS = 0.035  # metres, a slim adult forearm near the wrist
@@ -64,7 +65,7 @@ class GraspHand:
         forearm = self.joints[0] + backward * self.rest.new_tensor(FOREARM_REACH).unsqueeze(1)
         self._inner = torch.cat([centres, forearm])
         bones = torch.cat([self.sphere_bone, self.sphere_bone.new_zeros(len(forearm))])
-        self._inner_weights = torch.nn.functional.one_hot(bones, len(JOINTS)).to(self.rest)
+        self._inner_weights = torch.nn.functional.one_hot(bones, len(HAND_JOINTS)).to(self.rest)
         # The point inside that each vertex covers: where a finger is, if its skin is on the far side of a thin wall.
         apart = torch.cdist(self.rest, centres) + (anatomy.bone.unsqueeze(1) != self.sphere_bone).to(self.rest)
         self.foot = apart.argmin(1)
@@ -100,7 +101,7 @@ def _fill(rest: Tensor, joints: Tensor, anatomy: Anatomy) -> tuple[Tensor, Tenso
     """Centres (S, 3), radii (S,) and bones (S,) of spheres along the finger bones and under the palm."""
     spheres = []
     for finger, name in enumerate(FINGERS):
-        first = JOINTS.index(f"{name}1")
+        first = HAND_JOINTS.index(f"{name}1")
         ends = [*joints[first : first + 3], rest[anatomy.tips[finger]]]
         for k, shares in enumerate(((0.15, 0.5, 0.85), (0.15, 0.5, 0.85), (0.15, 0.48, 0.8))):
             skin_of_bone = rest[anatomy.bone == first + k]

@@ -37,7 +37,7 @@ class Part:
     forward: Tensor
 
 
-class Scene:
+class GraspScene:
     """One object, at rest in its own frame.
 
     Attributes:
@@ -50,7 +50,9 @@ class Scene:
         self._atlas = SDFAtlas([SDFGrid.load_or_build(mesh, cache_dir)])
 
     @classmethod
-    def of(cls, name: str, surface_points: int = 6000, seed: int = 0, cache_dir: str | Path | None = None) -> Scene:
+    def of(
+        cls, name: str, surface_points: int = 6000, seed: int = 0, cache_dir: str | Path | None = None
+    ) -> GraspScene:
         """The open object of that name."""
         mesh, regions = build_object(name), prop(name).regions
         parts = [part(mesh, r.low, r.high, r.weight, surface_points, seed) for r in regions]

@@ -1,12 +1,10 @@
-"""The shipped grasps: one small safetensors file, its provenance and its report."""
+"""The shipped grasps: one small safetensors file."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -14,15 +12,11 @@ from safetensors.torch import save
 from torch import Tensor
 
 from grabnet.body.anatomy import Anatomy
-from grabnet.body.hand import OPEN_HANDS, HandParameters
+from grabnet.body.hand import HandParameters
 from grabnet.errors import UserError
-from grabnet.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
-from grabnet.io.files import existing, sha256, write_bytes, write_json
-from grabnet.io.provenance import provenance
+from grabnet.geometry.rotations import axis_angle_to_matrix
+from grabnet.io.files import existing, write_bytes
 from grabnet.io.shipped import shipped
-
-if TYPE_CHECKING:
-    from grabnet.open.grasps.synthesise import ObjectGrasps, SynthesisConfig
 
 OPEN_GRASPS = shipped("assets") / "open_grasps" / "grasps.safetensors"
 
@@ -100,53 +94,3 @@ def save_open_grasps(path: str | Path, grasps: OpenGrasps) -> None:
     tensors = {name: getattr(grasps, name).to(dtype).contiguous() for name, dtype in _PER_GRASP.items()}
     names = {name: getattr(grasps, name) for name in ("objects", "subjects", "genders", "kinds")}
     write_bytes(path, save(tensors | {"betas": grasps.betas}, {"grasps": json.dumps(names | grasps.meta)}))
-
-
-def collect(found: Sequence[ObjectGrasps], betas: Tensor, config: SynthesisConfig, seed: int) -> OpenGrasps:
-    """One `OpenGrasps` of the `ObjectGrasps` of all objects, sorted by object name."""
-    # Here: reading grasps shouldn't wait for what makes them.
-    from grabnet.open.grasps.synthesise import GENDERS, KIND_NAMES, SUBJECTS
-
-    found = sorted(found, key=lambda o: o.name)
-    number = torch.cat([torch.full((len(o.kind),), i) for i, o in enumerate(found)])
-    return OpenGrasps(
-        tuple(o.name for o in found),
-        SUBJECTS,
-        GENDERS,
-        KIND_NAMES,
-        number,
-        torch.cat([o.subject for o in found]),
-        torch.cat([o.kind for o in found]),
-        torch.cat([o.clears_table for o in found]),
-        torch.cat([o.pose.angles for o in found]),
-        matrix_to_axis_angle(torch.cat([o.pose.rotation for o in found])),
-        torch.cat([o.transl for o in found]),
-        betas,
-        {
-            "seed": seed,
-            "hand_sha256": sha256(OPEN_HANDS / "MANO_RIGHT.npz"),
-            "object_sha256": {o.name: o.mesh_sha256 for o in found},
-            "config": asdict(config),
-        },
-    )
-
-
-def write_asset(
-    path: Path, found: Sequence[ObjectGrasps], betas: Tensor, config: SynthesisConfig, seed: int
-) -> OpenGrasps:
-    """Write the grasp file and beside it `grasps.json` (provenance) and `report.json` (a row per object)."""
-    grasps = collect(found, betas, config, seed)
-    save_open_grasps(path, grasps)
-    write_json(
-        path.with_suffix(".json"),
-        provenance(
-            file=path.name,
-            sha256=sha256(path),
-            grasps=len(grasps),
-            source="synthesised by scripts/build_open.py grasps from the open hand and open objects; nothing recorded",
-            licence="CC0-1.0",
-            **grasps.meta,
-        ),
-    )
-    write_json(path.with_name("report.json"), {o.name: o.report for o in sorted(found, key=lambda o: o.name)})
-    return grasps

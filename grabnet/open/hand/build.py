@@ -24,7 +24,7 @@ Model = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Report:
+class HandReport:
     """How well the model fits adults that it was not made from (the last quarter), in millimetres, mean and maximum.
 
     joint_error: regressed joints. shape_error: vertices, with the best betas. explained: share of the shapes' variance
@@ -36,7 +36,7 @@ class Report:
     explained: tuple[float, ...]
 
 
-def build_hands(folder: str | Path, n_adults: int = 400, seed: int = 0) -> Report:
+def build_hands(folder: str | Path, n_adults: int = 400, seed: int = 0) -> HandReport:
     """Write MANO_RIGHT.npz and MANO_LEFT.npz into `folder`; needs anny (about a minute the first time).
 
     Raises:
@@ -51,7 +51,7 @@ def build_hands(folder: str | Path, n_adults: int = 400, seed: int = 0) -> Repor
 
 def right_hand(
     adults: AdultHands, seed: int, n_vertices: int = 778, n_boundary: int = 16, n_betas: int = 10
-) -> tuple[Model, Report]:
+) -> tuple[Model, HandReport]:
     """The right hand in MANO's schema, its pose components still the unit matrix.
 
     The counts of vertices and of the wrist opening's vertices are MANO's.
@@ -79,7 +79,7 @@ def right_hand(
     basis = shapedirs.reshape(-1, n_betas)
     offset = (held_out - template).reshape(len(held_out), -1).T
     unexplained = offset - basis @ np.linalg.lstsq(basis, offset, rcond=None)[0]
-    return model, Report(
+    return model, HandReport(
         joint_error=_mean_and_max(regressor @ held_out - hands.joints[fitted:]),
         shape_error=_mean_and_max(unexplained.T.reshape(held_out.shape)),
         explained=tuple(explained.round(4).tolist()),

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from grabnet.body.anatomy import JOINTS
+from grabnet.body.skeleton import HAND_JOINTS
 from grabnet.open.hand.source import BONES, AdultHands
 
 _FINGER_NUMBERS = {"thumb": 1, "index": 2, "middle": 3, "ring": 4, "pinky": 5}  # MakeHuman's
@@ -66,7 +66,7 @@ def flatten(hands: AdultHands) -> FlatHands:
     for bone, weight in zip(BONES, hands.weights.T, strict=True):
         moved = np.einsum("nij,nvj->nvi", rotation[bone], hands.vertices - head(bone)[:, None])
         vertices += weight[:, None] * (moved + position[bone][:, None])
-    source = ["wrist", *(f"finger{_FINGER_NUMBERS[name[:-1]]}-{name[-1]}" for name in JOINTS[1:])]
+    source = ["wrist", *(f"finger{_FINGER_NUMBERS[name[:-1]]}-{name[-1]}" for name in HAND_JOINTS[1:])]
     weights = hands.weights[:, [BONES.index(bone) for bone in source]]
     weights[:, 0] = 1 - weights[:, 1:].sum(1)
     return FlatHands(vertices, hands.faces, np.stack([position[bone] for bone in source], 1), weights)

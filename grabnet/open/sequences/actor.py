@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel, HandParameters
+from grabnet.body.skeleton import JOINTS
 from grabnet.body.whole import BodyModel
 from grabnet.geometry.rotations import matrix_to_axis_angle
-from grabnet.open.body.skeleton import JOINTS
 from grabnet.open.body.subjects import Subject
 from grabnet.open.sequences.arms import Arm, ArmPose
 from grabnet.open.sequences.motion import Pose

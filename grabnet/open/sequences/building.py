@@ -29,11 +29,11 @@ from grabnet.open.body.subjects import open_subjects, write_subjects
 from grabnet.open.grasps.store import OPEN_GRASPS, OpenGrasps, load_open_grasps
 from grabnet.open.objects.writing import write_objects
 from grabnet.open.sequences.actor import Actor
-from grabnet.open.sequences.checks import Measures, measure
+from grabnet.open.sequences.checks import RecordingMeasures, measure
 from grabnet.open.sequences.labelling import with_contact
 from grabnet.open.sequences.performance import InfeasibleError
-from grabnet.open.sequences.plans import Scene
-from grabnet.open.sequences.props import Holds, Prop
+from grabnet.open.sequences.plans import Planner
+from grabnet.open.sequences.props import Holds, StageProp
 from grabnet.open.sequences.setting import TABLE_HEIGHTS, Table
 from grabnet.open.sequences.uses import use_of
 from grabnet.open.sequences.writing import to_sequence, write_table
@@ -195,13 +195,13 @@ def record(entry: Entry, root: Path, seed: int) -> dict[str, Any]:
         table = Table(rng.uniform(*TABLE_HEIGHTS) + actor.floor)
         heading, spot = rng.uniform(-np.pi, np.pi), rng.normal(0, 0.3, 2)
         try:
-            stage = Scene(actor, prop, holds, table, rest, rng).make(entry.intent)
+            stage = Planner(actor, prop, holds, table, rest, rng).make(entry.intent)
         except InfeasibleError as error:
             rejected[str(error)] += 1
             continue
         sequence = to_sequence(stage, table, entry.name, entry.object, entry.intent, heading, spot)
         found = measure(sequence, stage, prop, table)
-        if faults := found.beyond(Measures()):
+        if faults := found.beyond(RecordingMeasures()):
             rejected.update(faults)
             continue
         sequence = with_contact(sequence, actor, prop)
@@ -256,5 +256,5 @@ def _subjects():
 
 
 @cache
-def _prop(root: Path, name: str) -> Prop:
-    return Prop(name, load_mesh(root / OBJECT_MESHES / f"{name}.ply", weld=False))
+def _prop(root: Path, name: str) -> StageProp:
+    return StageProp(name, load_mesh(root / OBJECT_MESHES / f"{name}.ply", weld=False))

@@ -8,13 +8,13 @@ from functools import lru_cache
 import numpy as np
 import torch
 
+from grabnet.body.skeleton import JOINTS, LEFT_HAND_JOINTS, RIGHT_HAND_JOINTS
 from grabnet.data.sequences import Sequence
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
-from grabnet.open.body.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND
 from grabnet.open.sequences.motion import Pose
 from grabnet.open.sequences.performance import Performance
-from grabnet.open.sequences.props import Prop
+from grabnet.open.sequences.props import StageProp
 from grabnet.open.sequences.setting import TABLE_SIZE, Table
 
 _EVERY = 4  # frames from one to the next in which depths are measured
@@ -26,7 +26,7 @@ _LOWER_ARMS = [JOINTS.index(f"{side}_elbow") for side in ("left", "right")]
 
 
 @dataclass(frozen=True)
-class Measures:
+class RecordingMeasures:
     """Of a recording, at most over its frames; also the limits. Millimetres and degrees, per frame at 120 per second.
 
     step: of any vertex of body or object. turn: of any joint or the object. feet: how far a vertex of the feet gets
@@ -45,7 +45,7 @@ class Measures:
     table_depth: float = 3.0
     trunk_depth: float = 8.0
 
-    def beyond(self, limits: Measures) -> list[str]:
+    def beyond(self, limits: RecordingMeasures) -> list[str]:
         """Names of those that exceed their limits."""
         return [f.name for f in fields(self) if not getattr(self, f.name) <= getattr(limits, f.name)]
 
@@ -54,11 +54,11 @@ class Measures:
 
 
 @torch.no_grad()
-def measure(sequence: Sequence, stage: Performance, prop: Prop, table: Table) -> Measures:
+def measure(sequence: Sequence, stage: Performance, prop: StageProp, table: Table) -> RecordingMeasures:
     """Measure a recording on its surfaces."""
     actor = stage.actor
     part = actor.body.weights.argmax(1).numpy()
-    in_hand = np.isin(part, [*RIGHT_HAND, *LEFT_HAND])
+    in_hand = np.isin(part, [*RIGHT_HAND_JOINTS, *LEFT_HAND_JOINTS])
     feet, arms = torch.as_tensor(np.isin(part, _FEET)), in_hand | np.isin(part, _LOWER_ARMS)
     low, high = prop.mesh.bounds.astype(np.float64)
     rotation, transl = sequence.table.rotations(slice(0, 1))[0].double().numpy(), sequence.table.transl[0].astype(float)
@@ -106,7 +106,7 @@ def measure(sequence: Sequence, stage: Performance, prop: Prop, table: Table) ->
     corners = sequence.object.to_world(torch.as_tensor(prop.mesh.vertices[:: max(1, len(prop.vertices) // 500)].copy()))
     step = max(step, float(corners.diff(dim=0).norm(dim=-1).max()))
     height = prop.vertices @ sequence.object.rotations(slice(0, 1))[0].numpy().T[:, 2] + sequence.object.transl[0, 2]
-    return Measures(
+    return RecordingMeasures(
         step=1e3 * step,
         turn=_fastest_turn(sequence),
         feet=1e3 * feet_way,

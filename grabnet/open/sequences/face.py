@@ -6,10 +6,10 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from grabnet.open.body.skeleton import JOINTS
+from grabnet.body.skeleton import JOINTS
 from grabnet.open.sequences.actor import Actor
 from grabnet.open.sequences.motion import Pose
-from grabnet.open.sequences.props import Hold, Prop
+from grabnet.open.sequences.props import Hold, StageProp
 
 _GAP = 0.002  # metres left between object and head
 _HAND_GAP = 0.008  # metres, at least, from the hand's vertices to the head's
@@ -41,7 +41,12 @@ class Face:
         self._joint = actor.joints[15]
 
     def before(
-        self, rng: np.random.Generator, prop: Prop, rotation: np.ndarray, spread: tuple[float, float], n: int = 3000
+        self,
+        rng: np.random.Generator,
+        prop: StageProp,
+        rotation: np.ndarray,
+        spread: tuple[float, float],
+        n: int = 3000,
     ) -> Pose:
         """N poses about where the object will be, for upright trunks."""
         tilt, turn = spread
@@ -51,7 +56,7 @@ class Face:
         at = self.target + (size + 0.02)[:, None] * self.way + rng.normal(0, 0.012, (n, 3))
         return Pose(turned, at - turned @ middle)
 
-    def brought(self, thing: Pose, trunk: np.ndarray, prop: Prop, hold: Hold) -> Pose | None:
+    def brought(self, thing: Pose, trunk: np.ndarray, prop: StageProp, hold: Hold) -> Pose | None:
         """The object moved along the way to the face until it or the hand all but touches; None if it stays far off."""
         head = self.actor.trunk(trunk[None]).head
         head = Pose(head.rotation[0], head.position[0])
@@ -80,7 +85,7 @@ class Face:
         reached = np.abs(prop.distance(placed.inverse().points(skin))).min()
         return placed if reached < 0.02 else None
 
-    def kept_out(self, path: Pose, prop: Prop, trunk: np.ndarray) -> Pose:
+    def kept_out(self, path: Pose, prop: StageProp, trunk: np.ndarray) -> Pose:
         """A path moved away from the face as far as it would go into it."""
         head = self.actor.trunk(trunk[None]).head
         head = Pose(head.rotation[0], head.position[0])
@@ -102,7 +107,7 @@ class Face:
         return Pose(path.rotation, path.position + 1.2 * smooth[:, None] * way)
 
     @staticmethod
-    def actor_bounds(prop: Prop) -> tuple[np.ndarray, np.ndarray]:
+    def actor_bounds(prop: StageProp) -> tuple[np.ndarray, np.ndarray]:
         low, high = prop.mesh.bounds.astype(np.float64)
         return low - 0.03, high + 0.03
 

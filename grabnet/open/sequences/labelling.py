@@ -10,7 +10,7 @@ import torch
 from grabnet.contact.annotator import ContactAnnotator, vertex_parts
 from grabnet.data.sequences import ContactTrack, Sequence
 from grabnet.open.sequences.actor import Actor
-from grabnet.open.sequences.props import Prop
+from grabnet.open.sequences.props import StageProp
 
 _BATCH = 64
 _NEAR = 0.008  # metres from the object: what is farther can't be labelled, nor change a label
@@ -18,7 +18,7 @@ _MOVED = 0.00005  # metres: a frame in which nothing near the object has moved b
 
 
 @torch.no_grad()
-def with_contact(sequence: Sequence, actor: Actor, prop: Prop) -> Sequence:
+def with_contact(sequence: Sequence, actor: Actor, prop: StageProp) -> Sequence:
     """The sequence with labels as `grabnet.contact.sequences.annotate` finds them.
 
     A hand that holds an object keeps its place on it; labels are sought anew when anything near the object moves.

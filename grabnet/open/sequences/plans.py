@@ -12,7 +12,7 @@ from grabnet.open.sequences.actor import UPRIGHT, Actor
 from grabnet.open.sequences.face import Face
 from grabnet.open.sequences.motion import Pose, travel
 from grabnet.open.sequences.performance import FLAT, FRAMERATE, Guided, InfeasibleError, Performance, sway
-from grabnet.open.sequences.props import UP, Hold, Holds, Prop
+from grabnet.open.sequences.props import UP, Hold, Holds, StageProp
 from grabnet.open.sequences.setting import (
     Draws,
     Reach,
@@ -36,11 +36,11 @@ _ABOVE = np.array([0, 0.15, -0.04])
 
 
 @dataclass
-class Scene:
-    """What a plan is made from."""
+class Planner:
+    """Makes plans for one object, subject and table."""
 
     actor: Actor
-    prop: Prop
+    prop: StageProp
     holds: Holds
     table: Table
     rest: np.ndarray

@@ -52,7 +52,7 @@ class Hold:
         return thing @ Pose(self.wrist.rotation, self.wrist.position + self.back)
 
 
-class Prop:
+class StageProp:
     """One object as the sequences use it; its own frame is z up."""
 
     def __init__(self, name: str, mesh: Mesh):
@@ -95,7 +95,7 @@ class Holds:
         wrist[side]: N poses of the wrist in the object's frame. angles (N, 21). sides: those there are.
     """
 
-    def __init__(self, prop: Prop, actor: Actor, grasps: OpenGrasps):
+    def __init__(self, prop: StageProp, actor: Actor, grasps: OpenGrasps):
         self.prop, self.actor = prop, actor
         number, subject = grasps.objects.index(prop.name), grasps.subjects.index(actor.subject.name)
         index = ((grasps.object == number) & (grasps.subject == subject)).nonzero().squeeze(1)

@@ -12,7 +12,7 @@ from grabnet.open.sequences.actor import ASIDE, DOWN, LEAN, TILT, TURN, Actor
 from grabnet.open.sequences.arms import effort
 from grabnet.open.sequences.motion import Pose
 from grabnet.open.sequences.performance import InfeasibleError
-from grabnet.open.sequences.props import UP, Hold, Holds, Prop
+from grabnet.open.sequences.props import UP, Hold, Holds, StageProp
 
 TABLE_HEIGHTS = (0.75, 1.20)  # metres above the floor
 TABLE_SIZE = (1.10, 0.03, 0.70)  # metres: width, thickness, depth
@@ -170,7 +170,7 @@ def thing_offset(thing: Pose, hold: Hold) -> np.ndarray:
 def carry(
     actor: Actor,
     hold: Hold,
-    prop: Prop,
+    prop: StageProp,
     things: Pose,
     rng: np.random.Generator,
     table: Table | None = None,
@@ -212,7 +212,7 @@ def carry(
 
 def somewhere(
     rng: np.random.Generator,
-    prop: Prop,
+    prop: StageProp,
     from_rotation: np.ndarray,
     low: tuple,
     high: tuple,

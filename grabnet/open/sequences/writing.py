@@ -9,10 +9,10 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from grabnet.body.hand import HandModel
+from grabnet.body.skeleton import JOINTS, LEFT_HAND_JOINTS, RIGHT_HAND_JOINTS
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import BodyTrack, ContactTrack, HandTrack, RigidTrack, Sequence
 from grabnet.geometry.mesh import Mesh, save_mesh
-from grabnet.open.body.skeleton import JOINTS
 from grabnet.open.sequences.actor import SIDES
 from grabnet.open.sequences.motion import Pose
 from grabnet.open.sequences.performance import FRAMERATE, Performance
@@ -51,7 +51,7 @@ def to_sequence(
         hands[side] = room @ wrist, fingers
     fullpose = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_rotvec().reshape(n, 165)
     tracks = {}
-    for side, first in (("left", 25), ("right", 40)):
+    for side, first in (("left", LEFT_HAND_JOINTS[1]), ("right", RIGHT_HAND_JOINTS[1])):
         wrist, fingers = hands[side]
         fullpose[:, 3 * first : 3 * first + 45] = fingers
         origin = actor.hand_wrist * (1 if side == "right" else (-1, 1, 1))

@@ -17,7 +17,7 @@ from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.io.npz import read_npz
-from grabnet.training.noise import StoredNoise
+from grabnet.training.refine_inputs import StoredNoise
 from grabnet.training.run import train
 from tests.tiny import tiny_overrides
 

@@ -12,6 +12,7 @@ import torch
 import trimesh
 
 from grabnet.body.hand import HandModel, HandParameters
+from grabnet.body.skeleton import JOINTS, MIRROR_JOINT, PARENTS, RIGHT_HAND_JOINTS
 from grabnet.body.whole import OPEN_BODY, BodyModel, BodyParameters
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
@@ -19,7 +20,6 @@ from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.io.files import sha256
 from grabnet.io.npz import read_npz
 from grabnet.open.body.gluing import Gluing
-from grabnet.open.body.skeleton import JOINTS, MIRRORED, PARENTS, RIGHT_HAND
 from grabnet.open.body.subjects import open_subjects
 from grabnet.open.grasps.store import load_open_grasps
 
@@ -59,7 +59,7 @@ def test_surface_is_closed_and_sound(body):
 def test_left_mirrors_right(body, subjects):
     for vertices in (body.v_template, torch.as_tensor(subjects[3].v_template)):
         joints = body.rest_joints(vertices)
-        mirrored = joints[list(MIRRORED)] * torch.tensor([-1.0, 1, 1])
+        mirrored = joints[list(MIRROR_JOINT)] * torch.tensor([-1.0, 1, 1])
         torch.testing.assert_close(joints, mirrored, atol=1e-3, rtol=0)
         images = vertices * torch.tensor([-1.0, 1, 1])
         assert torch.cdist(images[::7], vertices).amin(1).max() < 1e-3
@@ -125,7 +125,7 @@ def test_hands_are_those_of_the_grasps(body, subjects, stored, hand):
         wrist = body.rest_joints(rest)[21] - hand.rest_joints(own)[0]
         torch.testing.assert_close(rest[in_hand], own + wrist, atol=1e-5, rtol=0)
         torch.testing.assert_close(
-            body.rest_joints(rest)[list(RIGHT_HAND)], hand.rest_joints(own) + wrist, atol=1e-5, rtol=0
+            body.rest_joints(rest)[list(RIGHT_HAND_JOINTS)], hand.rest_joints(own) + wrist, atol=1e-5, rtol=0
         )
     fingers = axis_angle_to_matrix(hand.hands_mean.view(1, 15, 3))
     rotations = torch.eye(3).expand(1, 55, 3, 3).clone()

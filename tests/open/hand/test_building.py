@@ -10,8 +10,9 @@ import torch
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from grabnet.body.anatomy import JOINTS, Anatomy, boundary_loop
+from grabnet.body.anatomy import Anatomy, boundary_loop
 from grabnet.body.hand import OPEN_HANDS, HandModel
+from grabnet.body.skeleton import HAND_JOINTS
 from grabnet.errors import UserError
 from grabnet.io.npz import read_npz
 from grabnet.open.hand.build import mirrored
@@ -103,12 +104,12 @@ def test_flattening_straightens_fingers_and_keeps_lengths():
     hands = curled_hands()
     flat = flatten(hands)
     np.testing.assert_allclose(flat.joints[:, 0], 0, atol=1e-12)
-    np.testing.assert_allclose(flat.joints[:, JOINTS.index("middle1"), 1:], 0, atol=1e-9)
-    assert (flat.joints[:, JOINTS.index("middle1"), 0] < 0).all()
-    assert (flat.joints[:, JOINTS.index("index1"), 2] > flat.joints[:, JOINTS.index("pinky1"), 2]).all()
+    np.testing.assert_allclose(flat.joints[:, HAND_JOINTS.index("middle1"), 1:], 0, atol=1e-9)
+    assert (flat.joints[:, HAND_JOINTS.index("middle1"), 0] < 0).all()
+    assert (flat.joints[:, HAND_JOINTS.index("index1"), 2] > flat.joints[:, HAND_JOINTS.index("pinky1"), 2]).all()
     for number, finger in ((2, "index"), (3, "middle"), (4, "ring"), (5, "pinky")):
         bones = [BONES.index(f"finger{number}-{k}") for k in (1, 2, 3)]
-        joints = flat.joints[:, JOINTS.index(f"{finger}1") :][:, :3]
+        joints = flat.joints[:, HAND_JOINTS.index(f"{finger}1") :][:, :3]
         before, after = (np.diff(x, axis=1) for x in (hands.heads[:, bones], joints))
         np.testing.assert_allclose(np.linalg.norm(after, axis=-1), np.linalg.norm(before, axis=-1), atol=1e-9)
         np.testing.assert_allclose(np.cross(after[:, 0], after[:, 1]), 0, atol=1e-9)

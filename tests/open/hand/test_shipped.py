@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from grabnet.body.anatomy import FINGERS, JOINTS, Anatomy, boundary_loop
+from grabnet.body.anatomy import FINGERS, Anatomy, boundary_loop
 from grabnet.body.hand import OPEN_HANDS, HandParameters
+from grabnet.body.skeleton import HAND_JOINTS
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.io.files import sha256
 from grabnet.io.npz import read_npz
@@ -93,7 +94,7 @@ def test_no_direction_explains_nearly_everything_and_fingers_vary_apart(hand, an
     assert energy[0] / energy.sum() < 0.85
     rest = hand.shaped(torch.randn(2000, 10, generator=torch.Generator().manual_seed(1)))
     joints = hand.rest_joints(rest)
-    finger = [(rest[:, anatomy.tips[f]] - joints[:, JOINTS.index(f"{name}1")]).norm(dim=-1)
+    finger = [(rest[:, anatomy.tips[f]] - joints[:, HAND_JOINTS.index(f"{name}1")]).norm(dim=-1)
               for f, name in enumerate(FINGERS)]  # fmt: skip
     share = torch.stack([x / hand_length(rest, joints, anatomy) for x in finger])
     assert (share.std(1) / share.mean(1) > 0.015).all()
@@ -103,7 +104,7 @@ def test_no_direction_explains_nearly_everything_and_fingers_vary_apart(hand, an
 def test_zero_pose_is_flat(hand, anatomy):
     joints = hand.rest_joints(hand.v_template)
     for f, finger in enumerate(FINGERS[1:], start=1):
-        first = JOINTS.index(f"{finger}1")
+        first = HAND_JOINTS.index(f"{finger}1")
         points = torch.cat([joints[first : first + 3], hand.v_template[anatomy.tips[f], None]])
         direction = torch.nn.functional.normalize(points.diff(dim=0), dim=-1)
         assert (direction[:, 1].abs() < 0.2).all(), "in the plane of the palm"
@@ -191,7 +192,7 @@ def test_knuckles_bend_behind_the_web(hand, anatomy):
     a, b = edges_of(hand.faces)
     across = (middle[a] & ring[b]) | (ring[a] & middle[b])
     web = hand.v_template[torch.cat([a[across], b[across]])]
-    assert joints[JOINTS.index("middle1"), 0] > web[:, 0].min() + 0.01
+    assert joints[HAND_JOINTS.index("middle1"), 0] > web[:, 0].min() + 0.01
 
 
 # --- The steps of the build -------------------------------------------------------------------------------------------

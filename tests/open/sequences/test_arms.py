@@ -7,8 +7,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from grabnet.body.skeleton import JOINTS
 from grabnet.body.whole import BodyParameters
-from grabnet.open.body.skeleton import JOINTS
 from grabnet.open.sequences.arms import LONGEST_REACH, effort
 from grabnet.open.sequences.motion import Pose
 

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from grabnet.body.hand import HandModel
+from grabnet.body.skeleton import LEFT_HAND_PARTS, RIGHT_HAND_PARTS
 from grabnet.body.whole import OPEN_BODY, BodyModel
 from grabnet.contact.annotator import vertex_parts
 from grabnet.data.objects import OBJECT_MESHES
@@ -21,7 +22,7 @@ from grabnet.open.objects import build_object
 from grabnet.open.sequences.building import TWO_HANDED, Entry, build_sequences, record, schedule
 from grabnet.open.sequences.uses import USES
 from grabnet.open.sequences.writing import write_table
-from grabnet.preprocess.filtering import LEFT_HAND, RIGHT_HAND, FrameFilter
+from grabnet.preprocess.filtering import FrameFilter
 from grabnet.preprocess.grasp_track import GraspTrack
 
 # As configs/preprocess/filter/open.yaml: the paper's rules, for meshes of fewer vertices.
@@ -95,7 +96,7 @@ def test_the_object_rests_on_the_table_and_leaves_it_in_a_hand(root, sequence):
     assert abs(lowest[0] - top[0]) < 0.001 and (lowest > top - 0.001).all()
     lifted = lowest - top > 0.002
     assert lifted.sum() > 120
-    touched = np.isin(sequence.contact.object, (*LEFT_HAND, *RIGHT_HAND)).any(1)
+    touched = np.isin(sequence.contact.object, (*LEFT_HAND_PARTS, *RIGHT_HAND_PARTS)).any(1)
     assert touched[lifted].all()
     still = np.linalg.norm(np.diff(sequence.object.transl, axis=0), axis=-1) < 1e-6
     assert still[~lifted[1:] & ~lifted[:-1]].mean() > 0.9
@@ -134,8 +135,8 @@ def test_stored_contact_is_by_the_right_parts(sequence, entry):
     labels = sequence.contact.body
     assert ((labels == 0) | (labels == parts)).all()
     seen = set(np.unique(sequence.contact.object)) - {0}
-    assert seen <= set(LEFT_HAND) | set(RIGHT_HAND)
-    assert bool(seen & set(LEFT_HAND)) == (entry.intent == "offhand")
+    assert seen <= set(LEFT_HAND_PARTS) | set(RIGHT_HAND_PARTS)
+    assert bool(seen & set(LEFT_HAND_PARTS)) == (entry.intent == "offhand")
 
 
 def test_the_filter_finds_grasps(sequence, entry):

@@ -1,26 +1,10 @@
-"""SMPL-X's 55 joints: their tree, their mirror images, and the MakeHuman bones that they stand for."""
+"""The MakeHuman bones that SMPL-X's joints stand for."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from grabnet.body.anatomy import JOINTS as HAND_JOINTS
-
-_TRUNK = (
-    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
-    "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
-    "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "jaw", "left_eye", "right_eye",
-)  # fmt: skip
-JOINTS = (*_TRUNK, *(f"{side}_{joint}" for side in ("left", "right") for joint in HAND_JOINTS[1:]))
-PARENTS = (
-    *(-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 15, 15, 15),
-    *(p for wrist, first in ((20, 25), (21, 40)) for k in range(0, 15, 3) for p in (wrist, first + k, first + k + 1)),
-)
-MIRRORED = tuple(
-    JOINTS.index(name.replace("left", "*").replace("right", "left").replace("*", "right")) for name in JOINTS
-)
-# The sixteen joints of each hand in the hand models' order.
-LEFT_HAND, RIGHT_HAND = (20, *range(25, 40)), (21, *range(40, 55))
+from grabnet.body.skeleton import JOINTS
 
 _FINGER_NUMBERS = {"thumb": 1, "index": 2, "middle": 3, "ring": 4, "pinky": 5}  # MakeHuman's
 _CENTRAL = {
