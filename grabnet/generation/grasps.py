@@ -11,11 +11,14 @@ from grabnet.body.anatomy import FINGERS
 from grabnet.body.hand import HandParameters
 from grabnet.geometry.mesh import Mesh
 
+# Metres: a hand vertex nearer to the object is in contact (ref. 4).
+CONTACT_DISTANCE = 0.0045
+
 # What the numbers of a report are, kept beside them.
 DEFINITIONS = {
     "max_penetration_mm": "depth of the deepest hand vertex inside the object",
     "mean_penetration_mm": "mean depth of those hand vertices that are inside the object, 0 where none is",
-    "contact_vertices": "hand vertices inside the object or nearer to its surface than 4.5 mm",
+    "contact_vertices": f"hand vertices inside the object or nearer to its surface than {1000 * CONTACT_DISTANCE:g} mm",
     "distance": "signed distance to the mesh itself, exact (no grid); inside is where the winding number exceeds 1/2",
 }
 
@@ -32,7 +35,7 @@ class Contacts:
 
     distances: Tensor
     finger: Tensor
-    contact_distance: float = 0.0045
+    contact_distance: float = CONTACT_DISTANCE
 
     def __len__(self) -> int:
         return len(self.distances)

@@ -57,7 +57,7 @@ class Runs:
 
 
 @dataclass(frozen=True, eq=False)
-class Crossings:
+class RayCrossings:
     """Where vertical lines through voxel centres pass the surface, ordered by column and height.
 
     column: (C, 2) int64. height: (C,) metres or other units. winding: (C,) by how much the winding number rises there.
@@ -69,7 +69,7 @@ class Crossings:
     spacing: float
 
     @classmethod
-    def of(cls, vertices: np.ndarray, faces: np.ndarray, spacing: float) -> Crossings:
+    def of(cls, vertices: np.ndarray, faces: np.ndarray, spacing: float) -> RayCrossings:
         """Of a closed mesh: vertices (V, 3), faces (F, 3), which may overlap itself and may face inwards as a whole."""
         # Centres on whole numbers.
         points = np.asarray(vertices, np.float64) / spacing - 0.5
@@ -109,7 +109,7 @@ def inside(mesh: Mesh, spacing: float, query: MeshQuery | None = None) -> Runs:
         UserError: an open mesh so large that its voxels cannot be gone through.
     """
     if mesh.is_closed:
-        return Crossings.of(mesh.vertices, mesh.faces, spacing).inside()
+        return RayCrossings.of(mesh.vertices, mesh.faces, spacing).inside()
     low, high = np.floor(mesh.bounds / spacing).astype(np.int64)
     sides = high - low + 1
     if sides.prod() > _MOST_QUERIED:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
-from grabnet.geometry.voxels import Crossings, Runs, inside
+from grabnet.geometry.voxels import RayCrossings, Runs, inside
 
 
 def voxels(runs: Runs) -> set[tuple[int, int, int]]:
@@ -20,7 +20,7 @@ def voxels(runs: Runs) -> set[tuple[int, int, int]]:
 
 
 def of(mesh: trimesh.Trimesh, spacing: float, at_least: int = 1) -> Runs:
-    return Crossings.of(mesh.vertices, mesh.faces, spacing).inside(at_least)
+    return RayCrossings.of(mesh.vertices, mesh.faces, spacing).inside(at_least)
 
 
 @settings(deadline=None, max_examples=12)
@@ -37,13 +37,13 @@ def test_the_same_voxels_as_asked_one_by_one(seed, spacing):
     low, high = np.floor(mesh.bounds / spacing).astype(int)
     index = np.stack(np.meshgrid(*map(np.arange, low, high + 1), indexing="ij"), -1).reshape(-1, 3)
     distance = MeshQuery(mesh).signed_distance(torch.tensor((index + 0.5) * spacing, dtype=torch.float32)).numpy()
-    found = voxels(Crossings.of(mesh.vertices, mesh.faces, spacing).inside())
+    found = voxels(RayCrossings.of(mesh.vertices, mesh.faces, spacing).inside())
     for voxel, d in zip(map(tuple, index.tolist()), distance, strict=True):
         if abs(d) > 1e-5:
             assert (voxel in found) == (d < 0)
-    assert len(Crossings.of(mesh.vertices, mesh.faces, spacing).inside()) == len(found)
+    assert len(RayCrossings.of(mesh.vertices, mesh.faces, spacing).inside()) == len(found)
     turned = Mesh(mesh.vertices, mesh.faces[:, ::-1])
-    assert voxels(Crossings.of(turned.vertices, turned.faces, spacing).inside()) == found
+    assert voxels(RayCrossings.of(turned.vertices, turned.faces, spacing).inside()) == found
 
 
 def test_faces_along_the_lines_and_through_the_centres():

@@ -7,68 +7,104 @@ mends a disturbed copy of it. Means are over all frames of a split or of one of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
+from typing import Self
 
 import numpy as np
 import torch
+from hydra.utils import instantiate
 from rich.progress import track
 
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.data.batches import GraspBatch
 from grabnet.data.datamodule import SPLITS, GraspDataModule
-from grabnet.models.coarsenet import CoarseNet
-from grabnet.models.refinenet import RefineNet
+from grabnet.evaluation.inputs import EvaluationInputs
+from grabnet.evaluation.metrics import ALL, Metric, Section
+from grabnet.evaluation.protocol import PerNetwork, Score
+from grabnet.models.weights import load_coarsenet, load_refinenet
 from grabnet.training.modules import reconstructed, reconstruction_errors, refined
 
+_SECTION = Section(
+    "Reconstruction",
+    "CoarseNet reconstructs from its posterior's mean, RefineNet from disturbed true grasps. v2v is the mean Euclidean "
+    "distance of vertices, v2v_mae the mean |Δ| per coordinate, which is what was published.",
+)
 
-class Errors(NamedTuple):
-    """Mean errors in mm over n frames; object "all" for a whole split."""
+# From a batch to hands like its true ones.
+Reconstruct = Callable[[GraspBatch], HandParameters]
 
-    network: str
-    split: str
-    object: str
-    v2v: float
-    v2v_mae: float
-    n: int
+
+class Reconstruction(PerNetwork):
+    """Errors of the evaluation's networks, cached by their weights and the data."""
+
+    name = "reconstruction"
+    metrics = tuple(
+        Metric("reconstruction", name, "mm", about, "lower", section=_SECTION, per_grasp=False)
+        for name, about in (
+            ("v2v", "mean Euclidean distance between vertices of a true hand and of its reconstruction"),
+            ("v2v_mae", "mean absolute difference of their coordinates"),
+        )
+    )
+
+    def __init__(self, inputs: EvaluationInputs):
+        self.inputs = inputs
+
+    @classmethod
+    def of(cls, inputs: EvaluationInputs) -> Self | None:
+        return cls(inputs) if inputs.config.reconstruction and inputs.networks.files else None
+
+    def __call__(self) -> list[Score]:
+        inputs, hashes = self.inputs, self.inputs.networks.hashes.values()
+
+        def compute() -> list[dict]:
+            inputs.data.setup()
+            return [asdict(score) for score in reconstruction(inputs.data, inputs.hand, _networks(inputs))]
+
+        settings = json.dumps([inputs.config.source, inputs.config.data], sort_keys=True)
+        scores = inputs.cache.get_json("reconstruction", [*hashes, settings, *inputs.fingerprint], compute)
+        return [Score(**score) for score in scores]
+
+
+def _networks(inputs: EvaluationInputs) -> dict[str, Reconstruct]:
+    files, hand = inputs.networks.files, inputs.hand
+    coarsenet = load_coarsenet(files["coarsenet"])
+    networks: dict[str, Reconstruct] = {"CoarseNet": lambda batch: reconstructed(coarsenet, batch)[0]}
+    if "refinenet" in files:
+        refinenet, source = load_refinenet(files["refinenet"], hand), instantiate(inputs.config.source)
+        networks["RefineNet"] = lambda batch: refined(refinenet, source(batch), batch)
+    return networks
 
 
 @torch.no_grad()
-def reconstruction(
-    data: GraspDataModule,
-    hand: HandModel,
-    coarsenet: CoarseNet,
-    refinenet: RefineNet | None,
-    source: Callable[[GraspBatch], HandParameters],
-) -> Iterator[Errors]:
-    """Errors of both networks on every split and object.
+def reconstruction(data: GraspDataModule, hand: HandModel, networks: Mapping[str, Reconstruct]) -> Iterator[Score]:
+    """Yield scores of networks on every split and object.
 
     Args:
         data: set up, without a trainer. Its batches seed the disturbances, so that the figures are those of a training
             run's own test.
-        source: a batch → disturbed copies of its hands, which RefineNet starts from.
+        hand: the hand model.
+        networks: by name.
     """
-
-    def coarse(batch: GraspBatch) -> HandParameters:
-        return reconstructed(coarsenet, batch)[0]
-
-    def fine(batch: GraspBatch) -> HandParameters:
-        return refined(refinenet, source(batch), batch)
-
-    networks = {"CoarseNet": coarse} | ({"RefineNet": fine} if refinenet is not None else {})
     for split in SPLITS:
         errors: dict[str, list[np.ndarray]] = {name: [] for name in networks}
         objects = []
         for numbers in track(data.loader(split), f"Reconstruction ({split})", transient=True):
             objects.append(data.frames(split).object[numbers[1]].numpy())
-            for name, predict in networks.items():
+            for name, reconstruct in networks.items():
                 batch = data.on_after_batch_transfer(numbers, 0)  # seeds, too
-                of_batch = reconstruction_errors(hand(predict(batch), batch.rest).vertices, batch.vertices)
+                of_batch = reconstruction_errors(hand(reconstruct(batch), batch.rest).vertices, batch.vertices)
                 errors[name].append(np.stack([of_batch["v2v"].double(), of_batch["v2v_mae"].double()], 1))
         object_of = np.concatenate(objects)
         for name, pieces in errors.items():
             values = np.concatenate(pieces)
-            yield Errors(name, split, "all", *values.mean(0).tolist(), len(values))
+            yield _score(name, split, ALL, values)
             for number in np.unique(object_of):
-                own = values[object_of == number]
-                yield Errors(name, split, data.store.objects[number], *own.mean(0).tolist(), len(own))
+                yield _score(name, split, data.store.objects[number], values[object_of == number])
+
+
+def _score(network: str, split: str, object_name: str, values: np.ndarray) -> Score:
+    """Args: values: (N, 2) v2v and v2v_mae of frames."""
+    means = dict(zip(("v2v", "v2v_mae"), values.mean(0).tolist(), strict=True))
+    return Score(network, split, object_name, means, len(values))

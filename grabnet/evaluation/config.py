@@ -1,4 +1,4 @@
-"""What to evaluate: the values of `configs/evaluate.yaml`."""
+"""Settings of an evaluation: the values of `configs/evaluate.yaml`."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from grabnet.errors import UserError
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """What to evaluate; the values of `configs/evaluate.yaml`, which explains them. data, hand_model, source and
-    physics are configs of what their groups make.
+class EvaluationConfig:
+    """The values of `configs/evaluate.yaml`, which explains them.
+
+    data, hand_model, source and physics are configs of what their groups make.
 
     Raises:
         UserError: a value out of range.
@@ -60,6 +61,6 @@ class Evaluation:
 
     @property
     def folders(self) -> list[Path]:
-        """Of grasps made elsewhere."""
+        """Folders of grasps made by other methods."""
         named = [self.grasps] if isinstance(self.grasps, str) else self.grasps or []
         return [Path(name).expanduser() for name in named]
