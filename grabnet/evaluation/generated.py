@@ -93,7 +93,7 @@ def _check_mesh(place: Path, file: Path) -> None:
     try:
         made_for = json.loads(record.read_text(encoding="utf-8")).get("mesh_sha256")
     except (OSError, ValueError, AttributeError) as error:
-        raise UserError(f"{record} cannot be read ({error}); remove it, or make the grasps anew.") from None
+        raise UserError(f"{record} cannot be read ({error}); remove it, or make the grasps again.") from None
     if made_for not in (None, sha256(file)):
         raise UserError(f"The grasps in {place} were made for another mesh than {file}: make them for that one.")
 
@@ -109,7 +109,7 @@ def _posed(path: Path, hand: HandModel, n: int) -> Hands:
     for name, width in _PARAMETERS.items():
         array = np.asarray(values[name])
         if array.shape != (len(values["transl"]), width) or array.dtype.kind != "f" or not np.isfinite(array).all():
-            raise UserError(f"{path}: {name} has shape {array.shape}; (N, {width}) finite numbers are wanted.")
+            raise UserError(f"{path}: {name} has shape {array.shape}; (N, {width}) finite numbers are needed.")
         tensors[name] = torch.as_tensor(array[:n], dtype=torch.float32)
     if not len(tensors["transl"]):
         raise UserError(f"{path} holds no grasp.")

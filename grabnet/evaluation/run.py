@@ -24,8 +24,8 @@ from grabnet.io.provenance import provenance
 
 
 def run(config: EvaluationConfig) -> int:
-    """Measure, and write report.html, metrics.json, metrics.csv, grasps.csv, tables.tex and contact/ to the output
-    folder.
+    """Measure, and write report.html, metrics.json, metrics.csv, grasps.csv, tables.tex and the protocols' own files to
+    the output folder.
 
     Returns:
         Exit code: 0 where all was measured; 1 where some grasps could not be, or a folder has none of an object.

@@ -19,7 +19,7 @@ from grabnet.body.hand import HandModel
 from grabnet.cli.entry import compose
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.errors import UserError
-from grabnet.evaluation.run import evaluate
+from grabnet.evaluation.run import run
 from grabnet.generation.grabber import Grabber
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.rotations import matrix_to_axis_angle
@@ -39,17 +39,18 @@ def runs(grabber, tmp_path_factory) -> Path:
 def call(runs, tiny_dataset, cache_dir, tmp_path_factory):
     """Evaluate four grasps of the ring, those of the can being for validation."""
 
-    def call(*overrides: str, output: Path | None = None) -> Path:
-        output = output or tmp_path_factory.mktemp("evaluation")
+    def call(*overrides: str, exit_code: int = 0) -> Path:
+        output = tmp_path_factory.mktemp("evaluation")
         few = ["n=4", "halo_samples=3", "draws=50", "pictures=0", "scenes=1", "processes=1", "reconstruction=false"]
         few.append("simulated=0")
         data = [f"data.root={tiny_dataset}", "data.val_objects=[can]", "data.test_objects=[ring]"]
         places = [f"runs={runs}", f"cache_dir={cache_dir}", f"data.cache_dir={cache_dir}", f"output={output}"]
         cfg = compose("evaluate", ["data=frames", *data, "data.near_points=32", *few, *places, *overrides])
         try:
-            evaluate(instantiate(cfg, _convert_="object"))
+            code = run(instantiate(cfg, _convert_="object"))
         except InstantiationException as error:  # how Hydra passes on what a constructor raised
             raise error.__cause__ from None
+        assert code == exit_code
         return output
 
     return call
@@ -165,9 +166,10 @@ def test_contact_is_written_with_the_meshes(folder, tiny_dataset):
 
 def test_again_it_is_the_same_and_nothing_is_measured(folder, call, monkeypatch):
     def never(*_, **__):
-        raise AssertionError("was measured anew")
+        raise AssertionError("was measured again")
 
-    for name in ("grabnet.evaluation.measuring._measure", "grabnet.evaluation.run.reconstruction"):
+    places = ("grabnet.evaluation.measuring._measure", "grabnet.evaluation.protocols.reconstruction.reconstruction")
+    for name in places:
         monkeypatch.setattr(name, never)
     monkeypatch.setattr(Grabber, "forward", never)
     assert figures(call("reconstruction=true", "simulated=2")) == figures(folder)
@@ -179,7 +181,7 @@ def test_a_fresh_cache_and_two_processes_give_the_same(folder, call, tmp_path):
     assert again == {name: before[name] for name in again}
 
 
-def test_reconstruction_is_what_a_training_run_tells(folder, runs, tiny_dataset, cache_dir, tmp_path):
+def test_reconstruction_is_what_a_training_run_reports(folder, runs, tiny_dataset, cache_dir, tmp_path):
     """The same networks, tested by Lightning as at the end of a run."""
     import lightning as L
 
@@ -212,9 +214,9 @@ def test_reconstruction_is_what_a_training_run_tells(folder, runs, tiny_dataset,
         trainer.test(module, datamodule=data, verbose=False)
         for split in ("train", "val", "test"):
             for name in ("v2v", "v2v_mae"):
-                told = float(trainer.callback_metrics[f"test/{split}/{name}"])
-                assert errors[kind, split, "all"][name] == pytest.approx(told, rel=1e-5)
-        frames = [e["n"] for (k, _, thing), e in errors.items() if k == kind and thing == "all"]
+                tested = float(trainer.callback_metrics[f"test/{split}/{name}"])
+                assert errors[kind, split, "all"][name] == pytest.approx(tested, rel=1e-5)
+        frames = [e["n"] for (k, _, name), e in errors.items() if k == kind and name == "all"]
         assert frames == [len(data.frames(s)) for s in ("train", "val", "test")]
 
 
@@ -247,7 +249,7 @@ def test_grasps_of_other_methods(call, made):
     for metric in ("table2/vertices", "halo/volume", "halo/depth", "contact/area", "novelty/distance"):
         values = found["metrics"][metric]["values"]
         assert values["parameters"]["all"]["value"] == pytest.approx(values["meshes"]["all"]["value"], rel=1e-3)
-    # Joint angles are not to be had from meshes.
+    # Meshes have no joint angles.
     assert "meshes" not in found["metrics"]["posture/violations"]["values"]
 
 
@@ -267,20 +269,20 @@ def test_hands_far_away_and_tiny_ones_give_zeros(call, made, tmp_path):
         assert found["metrics"]["grasptta/displacement"]["values"][row]["all"]["value"] == pytest.approx(
             10.73, abs=0.01
         )
-    assert found["failed_simulations"] == []
+    assert found["failures"] == []
 
 
-def test_an_object_that_cannot_be_cut_is_told_and_the_rest_goes_on(call, made, capsys):
+def test_an_object_that_cannot_be_cut_is_reported_and_the_rest_goes_on(call, made, capsys):
     """CoACD has a second: enough for the can, which is convex, and not for the ring."""
     shutil.copytree(made / "parameters" / "ring", made / "parameters" / "can")
     endless = [f"physics.decomposition.{name}" for name in ("time_limit=2", "nodes=50", "iterations=100000")]
     objects = ["data.test_objects=[ring,can]", "data.val_objects=[]"]
-    output = call(f"grasps={made / 'parameters'}", "simulated=2", *endless, *objects)
+    output = call(f"grasps={made / 'parameters'}", "simulated=2", *endless, *objects, exit_code=1)
     found = results(output)
-    (told,) = found["failed_simulations"]
-    assert re.match(r"ring: the simulation of 6 of 6 grasps failed: .*not done after 2 s", told)
-    assert told in (output / "report.html").read_text(encoding="utf-8").replace("&#x27;", "'")
-    assert told in capsys.readouterr().out
+    (sentence,) = found["failures"]
+    assert re.match(r"ring: grasptta and shake failed for 6 of 6 grasps: .*not done after 2 s", sentence)
+    assert sentence in (output / "report.html").read_text(encoding="utf-8").replace("&#x27;", "'")
+    assert sentence in capsys.readouterr().out
     values = {name: found["metrics"][name]["values"]["parameters"] for name in ("shake/failed", "shake/displacement")}
     assert values["shake/failed"]["ring"]["value"] == 100
     assert values["shake/failed"]["can"]["value"] == 0
@@ -288,8 +290,16 @@ def test_an_object_that_cannot_be_cut_is_told_and_the_rest_goes_on(call, made, c
     assert found["metrics"]["halo/volume"]["values"]["parameters"]["ring"]["n"] == 3
 
 
+def test_a_folder_without_an_object_is_reported_and_the_rest_goes_on(call, made, capsys):
+    objects = ["data.test_objects=[ring,can]", "data.val_objects=[]"]
+    found = results(call(f"grasps={made / 'parameters'}", *objects, exit_code=1))
+    assert "parameters has no grasps of can" in capsys.readouterr().out
+    assert found["rows"]["parameters"].endswith("which has none of can")
+    assert set(found["metrics"]["penetration/max"]["values"]["parameters"]) == {"ring", "all"}
+
+
 @pytest.mark.parametrize(
-    ("spoil", "told"),
+    ("spoil", "sentence"),
     [
         (lambda p: shutil.rmtree(p / "meshes" / "ring"), "no folder called like an object"),
         (lambda p: [f.unlink() for f in (p / "meshes" / "ring").iterdir()], "neither grasps.npz nor hand meshes"),
@@ -306,9 +316,9 @@ def test_an_object_that_cannot_be_cut_is_told_and_the_rest_goes_on(call, made, c
         ),
     ],
 )
-def test_unusable_grasps_are_refused(call, made, spoil, told):
+def test_unusable_grasps_are_refused(call, made, spoil, sentence):
     spoil(made)
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=sentence):
         call(f"grasps={made / 'meshes'}")
 
 
@@ -319,7 +329,7 @@ def test_grasps_for_another_mesh_are_refused(call, made):
 
 
 @pytest.mark.parametrize(
-    ("override", "told"),
+    ("override", "sentence"),
     [
         ("n=0", "at least 1"),
         ("split=tests", "it can be train, val, test"),
@@ -328,8 +338,8 @@ def test_grasps_for_another_mesh_are_refused(call, made):
         ("contact_distance=0", "must be positive"),
     ],
 )
-def test_wrong_values_are_told(call, override, told):
-    with pytest.raises(UserError, match=told):
+def test_wrong_values_are_refused(call, override, sentence):
+    with pytest.raises(UserError, match=sentence):
         call(override)
 
 
