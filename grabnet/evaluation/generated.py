@@ -52,15 +52,19 @@ def drawn(
 
     hand_hash = sha256(grabber.hand.v_template.numpy())
     sizes = f"{n} {seed} {grabber.batch_size} {grabber.n_turns}"
-    found = cache.get("drawn", [*networks, mesh.sha256, hand_hash, sizes], draw)
-    return Hands(faces=grabber.hand.faces.numpy(), **found)
+    arrays = cache.get("drawn", [*networks, mesh.sha256, hand_hash, sizes], draw)
+    return Hands(faces=grabber.hand.faces.numpy(), **arrays)
 
 
 def read_grasps(folder: Path, name: str, file: Path, hand: HandModel, n: int) -> Hands | None:
-    """The first n grasps of an object in a folder of grasps made by any method; None where it has none for it.
+    """Return the first n grasps of an object in a folder of grasps made by any method; None where it has none for it.
 
     Args:
-        name: of the object. file: its mesh in the data set.
+        folder: of folders called like objects.
+        name: of the object.
+        file: its mesh in the data set.
+        hand: model that poses grasps given as parameters.
+        n: grasps, at most.
 
     Raises:
         UserError: grasps that cannot be read, or that were made for another mesh of this name.

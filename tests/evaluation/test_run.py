@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +29,8 @@ from grabnet.geometry.rotations import matrix_to_axis_angle
 from grabnet.io.files import sha256
 from grabnet.models.weights import save_network
 
+ROOT = Path(__file__).parents[2]
+
 
 @pytest.fixture(scope="module")
 def runs(grabber, tmp_path_factory) -> Path:
@@ -36,16 +41,21 @@ def runs(grabber, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def call(runs, tiny_dataset, cache_dir, tmp_path_factory):
-    """Evaluate four grasps of the ring, those of the can being for validation."""
+def arguments(runs, tiny_dataset, cache_dir) -> list[str]:
+    """For four grasps of the ring, those of the can being for validation."""
+    few = ["n=4", "halo_samples=3", "draws=50", "pictures=0", "scenes=1", "processes=1", "reconstruction=false"]
+    data = ["data=frames", f"data.root={tiny_dataset}", "data.val_objects=[can]", "data.test_objects=[ring]"]
+    places = [f"runs={runs}", f"cache_dir={cache_dir}", f"data.cache_dir={cache_dir}"]
+    return [*data, "data.near_points=32", *few, "simulated=0", *places]
+
+
+@pytest.fixture(scope="module")
+def call(arguments, tmp_path_factory):
+    """Evaluate with these arguments and further ones."""
 
     def call(*overrides: str, exit_code: int = 0) -> Path:
         output = tmp_path_factory.mktemp("evaluation")
-        few = ["n=4", "halo_samples=3", "draws=50", "pictures=0", "scenes=1", "processes=1", "reconstruction=false"]
-        few.append("simulated=0")
-        data = [f"data.root={tiny_dataset}", "data.val_objects=[can]", "data.test_objects=[ring]"]
-        places = [f"runs={runs}", f"cache_dir={cache_dir}", f"data.cache_dir={cache_dir}", f"output={output}"]
-        cfg = compose("evaluate", ["data=frames", *data, "data.near_points=32", *few, *places, *overrides])
+        cfg = compose("evaluate", [*arguments, f"output={output}", *overrides])
         try:
             code = run(instantiate(cfg, _convert_="object"))
         except InstantiationException as error:  # how Hydra passes on what a constructor raised
@@ -290,10 +300,15 @@ def test_an_object_that_cannot_be_cut_is_reported_and_the_rest_goes_on(call, mad
     assert found["metrics"]["halo/volume"]["values"]["parameters"]["ring"]["n"] == 3
 
 
-def test_a_folder_without_an_object_is_reported_and_the_rest_goes_on(call, made, capsys):
+def test_a_folder_without_an_object_is_reported_and_the_rest_goes_on(arguments, made, tmp_path):
+    """By the command line: exit code 1, since some failed."""
     objects = ["data.test_objects=[ring,can]", "data.val_objects=[]"]
-    found = results(call(f"grasps={made / 'parameters'}", *objects, exit_code=1))
-    assert "parameters has no grasps of can" in capsys.readouterr().out
+    given = [*arguments, *objects, f"grasps={made / 'parameters'}", f"output={tmp_path / 'output'}"]
+    command = [sys.executable, str(ROOT / "scripts" / "evaluate.py"), *given]
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
+    assert done.returncode == 1, done.stderr
+    assert "parameters has no grasps of can" in done.stdout
+    found = results(tmp_path / "output")
     assert found["rows"]["parameters"].endswith("which has none of can")
     assert set(found["metrics"]["penetration/max"]["values"]["parameters"]) == {"ring", "all"}
 
@@ -341,6 +356,11 @@ def test_grasps_for_another_mesh_are_refused(call, made):
 def test_wrong_values_are_refused(call, override, sentence):
     with pytest.raises(UserError, match=sentence):
         call(override)
+
+
+def test_metrics_and_data_share_one_distance_of_contact(arguments):
+    cfg = compose("evaluate", [*arguments, "data.contact_distance=0.003"])
+    assert cfg.contact_distance == 0.003
 
 
 def test_poses_turned_by_hand(made, tiny_dataset, hand):

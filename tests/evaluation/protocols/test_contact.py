@@ -32,6 +32,11 @@ def test_fingers_that_touch(hand, labels):
     assert sum(around[f"area_{p}"][0] for p in PARTS) == pytest.approx(skin, rel=1e-5)
 
 
+def test_definitions_give_the_distance_that_is_set(labels):
+    (definition,) = (m.about for m in FingerContact(labels, 0.003).metrics if m.name == "area")
+    assert definition == "skin inside the object or within 3 mm of it"
+
+
 def test_vertex_areas_share_out_the_surface():
     box = trimesh.creation.box((1, 2, 3)).subdivide()
     areas = vertex_areas(np.stack([box.vertices, 2 * box.vertices]), box.faces)
