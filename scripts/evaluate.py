@@ -16,9 +16,9 @@ PATHS = ("models", "runs", "grasps", "output", "cache_dir", "objects.dir", "hand
 
 @hydra_entry("evaluate")
 def main(cfg: DictConfig) -> None:
-    from grabnet.evaluation.run import evaluate
+    from grabnet.evaluation.run import run
 
-    evaluate(instantiate(cfg, _convert_="object"))
+    sys.exit(run(instantiate(cfg, _convert_="object")))
 
 
 if __name__ == "__main__":

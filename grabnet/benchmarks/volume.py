@@ -9,7 +9,7 @@ from grabnet.benchmarks.run import Benchmark
 from grabnet.benchmarks.scene import hands, meshes
 from grabnet.benchmarks.timing import Case
 from grabnet.evaluation.hands import Hands
-from grabnet.evaluation.scene import Scene, Target
+from grabnet.evaluation.scene import GraspScene, GraspTarget
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 
@@ -18,7 +18,7 @@ _MOST = 8  # hands; the plain way takes a second and a half for each
 
 
 def cases(settings: Benchmark) -> list[Case]:
-    target = Target(meshes()[0])
+    target = GraspTarget(meshes()[0])
     n = min(settings.batch, _MOST)
     model, parameters = hands(n, torch.Generator().manual_seed(settings.seed), "cpu")
     posed = Hands(vertices=0.6 * model(parameters).vertices.numpy(), faces=model.faces.numpy())
@@ -28,10 +28,10 @@ def cases(settings: Benchmark) -> list[Case]:
         Case(plain, lambda: _plain(target.mesh, query, posed), runs=2),
         Case(
             f"whole columns ({len(posed)} hands)",
-            lambda: Scene(target, Hands(vertices=posed.vertices, faces=posed.faces)).shared_volume(SPACING),
+            lambda: GraspScene(target, Hands(vertices=posed.vertices, faces=posed.faces)).shared_volume(SPACING),
             (plain,),
         ),
-        Case("voxels of an object not met before", lambda: Target(target.mesh).voxels(SPACING)),
+        Case("voxels of an object not met before", lambda: GraspTarget(target.mesh).voxels(SPACING)),
     ]
 
 

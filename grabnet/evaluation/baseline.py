@@ -29,11 +29,15 @@ class Lookalike(NamedTuple):
 
 
 def lookalike(mesh: Mesh, training: Sequence[Path], cache: Cache) -> Lookalike:
-    """The training object of the most similar basis point set: least sum of squared differences, over turns of `mesh`
-    by multiples of 15° about its vertical, all objects centred at their centroids and standing as in their files.
+    """Return the training object of the most similar basis point set.
+
+    That is the least sum of squared differences, over turns of `mesh` by multiples of 15° about its vertical, all
+    objects centred at their centroids and standing as in their files.
 
     Args:
+        mesh: metres.
         training: mesh files.
+        cache: of results.
     """
 
     def find() -> dict[str, np.ndarray]:
@@ -45,12 +49,12 @@ def lookalike(mesh: Mesh, training: Sequence[Path], cache: Cache) -> Lookalike:
         turn, number = divmod(int(difference.argmin()), len(training))
         return {"number": np.array(number), "turn": angles[turn].numpy()}
 
-    found = cache.get("lookalike", [mesh.sha256, *map(sha256, training)], find)
-    return Lookalike(int(found["number"]), float(found["turn"]))
+    nearest = cache.get("lookalike", [mesh.sha256, *map(sha256, training)], find)
+    return Lookalike(int(nearest["number"]), float(nearest["turn"]))
 
 
 def transplanted(hands: Hands, source: Mesh, mesh: Mesh, turn: float) -> Hands:
-    """Grasps of `source` about `mesh` instead: about its centroid, and turned back by `turn`."""
+    """Return grasps of `source` about `mesh` instead: about its centroid, and turned back by `turn`."""
     vertices = (hands.vertices - source.centroid) @ about_z(torch.tensor(turn)).numpy() + mesh.centroid
     return Hands(vertices=vertices.astype(np.float32), faces=hands.faces, hand_pose=hands.hand_pose)
 

@@ -1,4 +1,8 @@
-"""Intervals: how far a mean could be off, had other grasps been drawn."""
+"""Intervals: how far a mean could be off, had other grasps been drawn.
+
+These are the percentile intervals of `scipy.stats.bootstrap`, which is not used because it refuses objects with a
+single grasp, and cannot take out the bias that redrawing brings into some statistics.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +16,12 @@ LEVEL = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """A number and what it is for drawings, with replacement, of the same grasps.
+    """A number, and its value in redrawings, with replacement, of the same grasps.
 
-    value: NaN where nothing could be measured. drawn: (B,) of the redrawings. n: grasps that count.
+    Attributes:
+        value: NaN where nothing could be measured.
+        drawn: (B,) of the redrawings.
+        n: grasps that count.
     """
 
     value: float
@@ -33,6 +40,7 @@ class Estimate:
         """Whether this number is larger than the other by more than chance: so in 97.5 % of redrawings of both."""
         if not (len(self.drawn) and len(other.drawn) and self.value > other.value):
             return False
+        # Both were redrawn by one seed: draw k of both takes the same grasps' numbers. Reversed, they are independent.
         return float(np.quantile(self.drawn - other.drawn[::-1], (1 - LEVEL) / 2)) > 0
 
 
@@ -40,9 +48,12 @@ NOTHING = Estimate(float("nan"), np.empty(0), 0)
 
 
 def mean(groups: Sequence[np.ndarray], draws: int, seed: int) -> Estimate:
-    """Mean over groups (objects) of the means of their values (N,), grasps redrawn within each group.
+    """Return the mean over groups (objects) of the means of their values, grasps redrawn within each group.
 
-    NaN among the values, what could not be measured, does not count; nor does a group of nothing else.
+    Args:
+        groups: (N,) each. NaN, what could not be measured, does not count; nor does a group of nothing else.
+        draws: redrawings.
+        seed: of these.
     """
     groups = [known for values in groups if len(known := values[np.isfinite(values)])]
     if not groups:
@@ -56,10 +67,16 @@ def mean(groups: Sequence[np.ndarray], draws: int, seed: int) -> Estimate:
 
 
 def statistic(n: int, of: Callable[[np.ndarray], float], draws: int, seed: int) -> Estimate:
-    """Any function of which of n grasps are taken, and how often each.
+    """Return a statistic of n grasps.
 
     The redrawings are moved to have the value as their mean: many functions, such as an entropy, are biased when some
     grasps are taken twice and others not at all.
+
+    Args:
+        n: grasps.
+        of: numbers of grasps, (n,) with repetitions → value.
+        draws: redrawings.
+        seed: of these.
     """
     rng = np.random.default_rng(seed)
     drawn = np.array([of(rng.integers(n, size=n)) for _ in range(draws)])

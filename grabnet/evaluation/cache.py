@@ -1,4 +1,4 @@
-"""Results kept on disk by what they are results of: content, settings, and a number that code changes raise."""
+"""Results kept on disk by content, settings, and a number that code changes raise."""
 
 from __future__ import annotations
 
@@ -6,22 +6,23 @@ import json
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from safetensors import safe_open
 from safetensors.numpy import save
 
 from grabnet.io.cache import load_or_build
-from grabnet.io.files import sha256, write_bytes
+from grabnet.io.files import sha256, write_bytes, write_json
 
 # Part of every key: raise it when the same content and settings would give other results.
-FORMAT = 2
+FORMAT = 3
 
 Arrays = dict[str, np.ndarray]
 
 
 class Cache:
-    """Arrays in safetensors files of one folder; a damaged or unwritable one costs a warning and time, nothing else.
+    """Files of one folder; a damaged or unwritable one costs a warning and time, nothing else.
 
     Args:
         folder: made when needed.
@@ -31,17 +32,29 @@ class Cache:
         self.folder = folder
 
     def get(self, kind: str, key: Sequence[str | np.ndarray], compute: Callable[[], Arrays]) -> Arrays:
-        """What `compute` gives, computed only where it is not there for this key."""
+        """Return arrays from `compute`, which is called only where they are not there for this key."""
         return load_or_build(self.path(kind, key), lambda path: _load(path)[0], compute, _save)
 
+    def get_json(self, kind: str, key: Sequence[str | np.ndarray], compute: Callable[[], Any]) -> Any:
+        """Return a value of JSON's types, as `get` does arrays."""
+
+        def load(path: Path) -> Any:
+            return json.loads(path.read_text(encoding="utf-8"))
+
+        path = self.path(kind, key).with_suffix(".json")
+        return load_or_build(path, load, compute, lambda value, path: write_json(path, value))
+
     def path(self, kind: str, key: Sequence[str | np.ndarray]) -> Path:
-        """File of a key."""
+        """Return the file of a key."""
         # Each part is hashed by itself, so that no two lists of parts run together to the same.
         return self.folder / f"{kind}-{sha256(str(FORMAT), *map(sha256, key))[:32]}.safetensors"
 
 
-class Table:
-    """One protocol's results for grasps of one object, a row each, by the grasps' keys; on disk once saved."""
+class ResultTable:
+    """One protocol's results for grasps of one object, a row each, by the grasps' keys; on disk once saved.
+
+    Arrays may be of numbers or of texts.
+    """
 
     def __init__(self, path: Path):
         self._path = path
@@ -53,13 +66,13 @@ class Table:
         return name in self._rows
 
     def add(self, names: Sequence[str], arrays: Arrays) -> None:
-        """Rows of these names; arrays have one entry for each."""
+        """Add rows of these names; arrays have one entry for each."""
         for i, name in enumerate(names):
             self._rows[name] = {k: array[i] for k, array in arrays.items()}
         self._changed = True
 
     def rows(self, names: Sequence[str]) -> Arrays:
-        """The named rows, in that order."""
+        """Return the named rows, in that order."""
         return {k: np.stack([self._rows[name][k] for name in names]) for k in self._rows[names[0]]}
 
     def save(self) -> None:
@@ -69,17 +82,20 @@ class Table:
         try:
             _save(self.rows(list(self._rows)), self._path, list(self._rows))
         except OSError as error:
-            warnings.warn(f"{self._path} cannot be written ({error}): it is made anew next time.", stacklevel=2)
+            warnings.warn(f"{self._path} cannot be written ({error}): it is computed again next time.", stacklevel=2)
         self._changed = False
 
 
 def _load(path: Path) -> tuple[Arrays, list[str]]:
-    """Arrays, and the names of their rows."""
+    """Return arrays, and the names of their rows."""
     with safe_open(path, "np") as file:
-        names = json.loads((file.metadata() or {}).get("rows", "[]"))
-        return {name: file.get_tensor(name) for name in file.keys()}, names  # noqa: SIM118
+        about = file.metadata() or {}
+        texts = {name: np.array(values, str) for name, values in json.loads(about.get("texts", "{}")).items()}
+        return {name: file.get_tensor(name) for name in file.keys()} | texts, json.loads(about.get("rows", "[]"))  # noqa: SIM118
 
 
 def _save(arrays: Arrays, path: Path, rows: Sequence[str] = ()) -> None:
-    contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
-    write_bytes(path, save(contiguous, {"rows": json.dumps(list(rows))}))
+    """Write numbers as tensors, texts and the names of rows into the file's header."""
+    texts = {name: array.tolist() for name, array in arrays.items() if array.dtype.kind == "U"}
+    numbers = {name: np.asarray(array, order="C") for name, array in arrays.items() if name not in texts}
+    write_bytes(path, save(numbers, {"rows": json.dumps(list(rows)), "texts": json.dumps(texts)}))

@@ -37,12 +37,12 @@ _PARAMETERS = {"global_orient": 3, "hand_pose": 45, "transl": 3}
 
 
 def drawn(
-    grabber: Grabber, networks: Sequence[str], mesh: Mesh, n: int, seed: int, grid_cache: str | None, cache: Cache
+    grabber: Grabber, sources: Sequence[str], mesh: Mesh, n: int, seed: int, grid_cache: str | None, cache: Cache
 ) -> Hands:
     """Grasps by a `Grabber`, as `scripts/sample.py` makes them, of the mean hand.
 
     Args:
-        networks: hashes of the networks' files, which with mesh, n and seed tell what comes out.
+        sources: what is drawn from: name of the variant and hashes of the networks' files.
         grid_cache: of signed-distance grids.
     """
 
@@ -52,15 +52,19 @@ def drawn(
 
     hand_hash = sha256(grabber.hand.v_template.cpu().numpy())
     sizes = f"{n} {seed} {grabber.batch_size} {grabber.n_turns}"
-    found = cache.get("drawn", [*networks, mesh.sha256, hand_hash, sizes], draw)
-    return Hands(faces=grabber.hand.faces.cpu().numpy(), **found)
+    arrays = cache.get("drawn", [*sources, mesh.sha256, hand_hash, sizes], draw)
+    return Hands(faces=grabber.hand.faces.cpu().numpy(), **arrays)
 
 
 def read_grasps(folder: Path, name: str, file: Path, hand: HandModel, n: int) -> Hands | None:
-    """The first n grasps of an object in a folder of grasps made by any method; None where it has none for it.
+    """Return the first n grasps of an object in a folder of grasps made by any method; None where it has none for it.
 
     Args:
-        name: of the object. file: its mesh in the data set.
+        folder: of folders called like objects.
+        name: of the object.
+        file: its mesh in the data set.
+        hand: model that poses grasps given as parameters.
+        n: grasps, at most.
 
     Raises:
         UserError: grasps that cannot be read, or that were made for another mesh of this name.
@@ -93,7 +97,7 @@ def _check_mesh(place: Path, file: Path) -> None:
     try:
         made_for = json.loads(record.read_text(encoding="utf-8")).get("mesh_sha256")
     except (OSError, ValueError, AttributeError) as error:
-        raise UserError(f"{record} cannot be read ({error}); remove it, or make the grasps anew.") from None
+        raise UserError(f"{record} cannot be read ({error}); remove it, or make the grasps again.") from None
     if made_for not in (None, sha256(file)):
         raise UserError(f"The grasps in {place} were made for another mesh than {file}: make them for that one.")
 
@@ -109,7 +113,7 @@ def _posed(path: Path, hand: HandModel, n: int) -> Hands:
     for name, width in _PARAMETERS.items():
         array = np.asarray(values[name])
         if array.shape != (len(values["transl"]), width) or array.dtype.kind != "f" or not np.isfinite(array).all():
-            raise UserError(f"{path}: {name} has shape {array.shape}; (N, {width}) finite numbers are wanted.")
+            raise UserError(f"{path}: {name} has shape {array.shape}; (N, {width}) finite numbers are needed.")
         tensors[name] = torch.as_tensor(array[:n], dtype=torch.float32)
     if not len(tensors["transl"]):
         raise UserError(f"{path} holds no grasp.")

@@ -21,7 +21,8 @@ class Hands:
     """N hands of one topology in the frame of an object's mesh, metres.
 
     Attributes:
-        vertices: (N, V, 3) float32. faces: (F, 3) int64; open at the wrist or closed.
+        vertices: (N, V, 3) float32.
+        faces: (F, 3) int64; open at the wrist or closed.
         hand_pose: (N, 15, 3, 3) joint rotations, where they are known.
         sequences: (N,) int64, which recording each is from; None where they were not recorded.
     """
@@ -36,7 +37,7 @@ class Hands:
 
     @cached_property
     def keys(self) -> list[str]:
-        """What each grasp is known by: equal for equal content."""
+        """A hash of each grasp: equal for equal content."""
         shared = sha256(self.faces)
         return [
             sha256(shared, *(values[i] for name in self._per_grasp() if (values := getattr(self, name)) is not None))
@@ -44,12 +45,17 @@ class Hands:
         ]
 
     @cached_property
+    def key(self) -> str:
+        """Of all together."""
+        return sha256(*self.keys)
+
+    @cached_property
     def closed(self) -> tuple[np.ndarray, np.ndarray]:
         """Vertices (N, V + openings, 3) and faces of the same hands, watertight at the wrist."""
         return close(self.vertices, self.faces)
 
     def select(self, index: np.ndarray | slice) -> Hands:
-        """The chosen ones."""
+        """Return the chosen ones."""
         chosen = {name: getattr(self, name) for name in self._per_grasp()}
         return Hands(faces=self.faces, **{k: None if v is None else v[index] for k, v in chosen.items()})
 
@@ -62,8 +68,10 @@ class HandLabels:
     """What the vertices of a hand model are, for meshes that have its vertices; made by `HandLabels.of`.
 
     Attributes:
-        finger: (V,) index into `FINGERS`; -1 on palm and wrist. parts: (V,) uint8, GRAB's number of each vertex's part.
-        anatomy: joint axes and limits. joint_regressor: (16, V).
+        finger: (V,) index into `FINGERS`; -1 on palm and wrist.
+        parts: (V,) uint8, GRAB's number of each vertex's part.
+        anatomy: joint axes and limits.
+        joint_regressor: (16, V).
     """
 
     finger: np.ndarray

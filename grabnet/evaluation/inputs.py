@@ -1,4 +1,4 @@
-"""What is evaluated on and what is evaluated: hand, true grasps, objects and networks, as the config names them."""
+"""Inputs of an evaluation: hand, recorded grasps, objects and models, as the config names them."""
 
 from __future__ import annotations
 
@@ -14,41 +14,54 @@ from grabnet.data.frames import FramesStore
 from grabnet.data.objects import object_files
 from grabnet.errors import UserError
 from grabnet.evaluation.cache import Cache
+from grabnet.evaluation.config import EvaluationConfig
 from grabnet.evaluation.hands import HandLabels, Hands
-from grabnet.evaluation.protocols.ground_truth import recorded_hands
-from grabnet.evaluation.settings import Evaluation
+from grabnet.evaluation.models import EvaluatedModel, load_models
+from grabnet.evaluation.recorded import recorded_hands
+from grabnet.generation.config import usable_device
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.io.cache import default_cache
 from grabnet.io.files import sha256
 
 
-class Material:
-    """What is evaluated on.
+class EvaluationInputs:
+    """Inputs of an evaluation, as its config names them.
 
     Attributes:
-        hand, labels: the hand model, and what its vertices are. data: the module, not set up. store: its frames.
-        files: of all objects' meshes, by name. cache: of results.
-        objects: names of those that are evaluated; meshes and truth: theirs, by name.
+        config: the settings.
+        hand: the hand model.
+        labels: what its vertices are.
+        data: the data module, not set up.
+        store: its frames.
+        files: meshes of all objects, by name.
+        cache: of results.
+        objects: names of those that are evaluated.
+        meshes: of these, by name.
+        truth: recorded grasps of these, by name.
+        models: that are evaluated.
 
     Raises:
-        UserError: data that is missing, or objects that are not in the split.
+        UserError: data or models that are missing, or objects that are not in the split.
     """
 
-    def __init__(self, wanted: Evaluation):
-        self.wanted = wanted
-        self.hand: HandModel = instantiate(wanted.hand_model)
+    def __init__(self, config: EvaluationConfig):
+        self.config = config
+        self.hand: HandModel = instantiate(config.hand_model)
         self.labels = HandLabels.of(self.hand)
-        self.data: GraspDataModule = instantiate(wanted.data, hand=self.hand)
+        self.data: GraspDataModule = instantiate(config.data, hand=self.hand)
         self.data.prepare_data()
         self.store = FramesStore.load(self.data.store_dir)
         self.files = object_files(self.data.objects_dir)
-        self.cache = Cache(Path(wanted.cache_dir or default_cache()) / "evaluation")
+        self.cache = Cache(Path(config.cache_dir or default_cache()) / "evaluation")
         self.objects = self._objects()
         self.meshes: dict[str, Mesh] = {name: load_mesh(self.files[name]) for name in self.objects}
         self.truth: dict[str, Hands] = {
-            name: recorded_hands(self.store, self.hand, name, mesh, wanted.max_ground_truth)
+            name: recorded_hands(self.store, self.hand, name, mesh, config.max_ground_truth)
             for name, mesh in self.meshes.items()
         }
+        self.models: list[EvaluatedModel] = load_models(
+            config.models, self.hand, config.runs, usable_device(config.device)
+        )
 
     @cached_property
     def recorded_objects(self) -> list[str]:
@@ -56,25 +69,25 @@ class Material:
         return [self.store.objects[k] for k in self.store.frames.object.unique().tolist()]
 
     def _objects(self) -> list[str]:
-        objects = self.data.objects_of(self.wanted.split, self.recorded_objects)
-        if unknown := [name for name in self.wanted.only or [] if name not in objects]:
-            raise UserError(f"only names {unknown[0]}; the {self.wanted.split} objects are {', '.join(objects)}.")
-        objects = self.wanted.only or objects
+        objects = self.data.objects_of(self.config.split, self.recorded_objects)
+        if unknown := [name for name in self.config.only or [] if name not in objects]:
+            raise UserError(f"only names {unknown[0]}; the {self.config.split} objects are {', '.join(objects)}.")
+        objects = self.config.only or objects
         if missing := [name for name in objects if name not in self.files]:
             raise UserError(f"{self.data.objects_dir} has no mesh for {', '.join(missing)}.")
         if not objects:
-            raise UserError(f"{self.data.store_dir} has no grasp of a {self.wanted.split} object.")
+            raise UserError(f"{self.data.store_dir} has no grasp of a {self.config.split} object.")
         return objects
 
     @cached_property
     def training_objects(self) -> list[str]:
-        """Names of those with a mesh, without the objects that are evaluated."""
+        """Names of training objects with a mesh, without the objects that are evaluated."""
         names = self.data.objects_of("train", self.recorded_objects)
         return [name for name in names if name in self.files and name not in self.objects]
 
     @cached_property
     def fingerprint(self) -> list[str]:
-        """Of all frames, whom they show and how they are split, of the objects and the hand."""
+        """Hashes and names that tell frames, subjects, splits, objects and hand."""
         values = (getattr(self.store.frames, name) for name in self.store.frames.__dataclass_fields__)
         frames = [value.numpy() for value in values if value is not None]
         names = [*self.store.objects, "|", *sorted(self.data.val_objects), "|"]
@@ -85,14 +98,14 @@ class Material:
 
     @cached_property
     def training_keypoints(self) -> np.ndarray:
-        """(M, 21, 3) of the training grasps, for `novelty`."""
+        """(M, 21, 3) of the training grasps."""
 
         # Where the hand is does not matter, but to rounding: always the same mesh's centroid, whatever is evaluated.
         mesh = load_mesh(self.files[min(self.files)])
 
-        def find() -> dict[str, np.ndarray]:
+        def compute() -> dict[str, np.ndarray]:
             names = self.data.objects_of("train", self.recorded_objects)
             hands = [recorded_hands(self.store, self.hand, name, mesh) for name in names]
             return {"keypoints": np.concatenate([self.labels.keypoints(h) for h in hands])}
 
-        return self.cache.get("keypoints", [*self.fingerprint, mesh.sha256], find)["keypoints"]
+        return self.cache.get("keypoints", [*self.fingerprint, mesh.sha256], compute)["keypoints"]

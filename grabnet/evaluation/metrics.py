@@ -1,13 +1,33 @@
-"""What a number in the evaluation is: its protocol, unit, definition, and which way is better."""
+"""What a number of the evaluation is: its protocol, unit, definition, which way is better, and where it is shown."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
-import numpy as np
+# In the place of an object's name: the mean over objects, each weighing the same.
+ALL = "all"
 
-from grabnet.evaluation.scene import Scene
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the report.
+
+    Attributes:
+        title: of the section.
+        note: sentences below its tables.
+    """
+
+    title: str
+    note: str = ""
+
+
+# Shared by protocols of several files; the others are named where they are used.
+FIELD = Section(
+    "Protocols of the field",
+    "Other data, and protocols that differ three- to five-fold in their outcome: rough marks only.",
+)
+HAND = Section("Posture, novelty, coverage")
+FURTHER = Section("Further protocols")
 
 
 @dataclass(frozen=True)
@@ -15,11 +35,21 @@ class Metric:
     """A number of each grasp, or of many together.
 
     Attributes:
-        protocol, name: what it is called by, both together.
+        protocol: first half of its title.
+        name: second half.
         unit: "%" for shares: of a grasp these are 0 or 1, or a share.
         about: definition, a sentence.
         better: "lower", "higher", or None where neither is.
         samples: grasps per object that count, the first; all when None.
+        section: of the report that shows it.
+        headline: whether it is in the first table of the report and in the summary of `tables.tex`.
+        distribution: whether the report draws how its values are distributed.
+        caption: format of a grasp's value below its picture; empty where it is not shown there.
+        part: of the hand that it is about, where `<series>_<part>` is measured of several parts: these are drawn beside
+            each other.
+        per_grasp: whether values belong to single grasps, in their order.
+        of_hand_alone: whether recorded hands are its yardstick wherever they are placed, so that a method of recorded
+            hands is expected neither above nor below others.
     """
 
     protocol: str
@@ -28,28 +58,29 @@ class Metric:
     about: str
     better: str | None = None
     samples: int | None = None
+    section: Section = FURTHER
+    headline: bool = False
+    distribution: bool = False
+    caption: str = ""
+    part: str = ""
+    per_grasp: bool = True
+    of_hand_alone: bool = False
 
     @property
     def title(self) -> str:
         return f"{self.protocol}/{self.name}"
 
     @property
+    def label(self) -> str:
+        """Title and unit."""
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
+
+    @property
+    def series(self) -> str:
+        """Title without the part."""
+        return self.title.removesuffix(f"_{self.part}") if self.part else self.title
+
+    @property
     def scale(self) -> float:
         """From stored values to the unit."""
         return 100.0 if self.unit == "%" else 1.0
-
-
-class PerGrasp(Protocol):
-    """Measures each grasp by itself: the result for one does not depend on which others are measured with it.
-
-    name and settings make up what results are kept under.
-    """
-
-    name: str
-    settings: str
-    metrics: tuple[Metric, ...]
-
-    def __call__(self, scene: Scene) -> dict[str, np.ndarray]:
-        """Arrays whose first dimension is the hands'; NaN for what cannot be measured. Names beyond those of the
-        metrics are data that other steps use."""
-        ...

@@ -37,6 +37,14 @@ class EvaluatedModel:
         """SHA-256 of the weights files, by kind of network."""
         return {kind: sha256(path) for kind, path in self.files.items()}
 
+    def record(self) -> dict[str, dict[str, str]]:
+        """File and hash of each network, ready for JSON."""
+        return {kind: {"file": str(path.resolve()), "sha256": self.hashes[kind]} for kind, path in self.files.items()}
+
+    def title(self, part: str, among: Sequence[EvaluatedModel]) -> str:
+        """A name for a variant or network of this model that no other model's has."""
+        return part if len(among) == 1 else f"{self.name}: {part}"
+
     def variants(self) -> dict[str, Grabber]:
         """The model and parts of it that also make grasps, by name, the whole model last."""
         whole = self.grabber

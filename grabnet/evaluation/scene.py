@@ -1,4 +1,4 @@
-"""Hands on one object, and what several protocols want to know of them, found once."""
+"""Hands on one object, and values that several protocols need of them, computed once."""
 
 from __future__ import annotations
 
@@ -14,44 +14,59 @@ from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.voxels import RayCrossings, Runs, inside
 
-# Metres: of vertices farther than this from the object's bounding box nothing more is said than that they are far.
+# Metres: vertices farther than this from the object's bounding box count as infinitely far.
 _REACH = 0.02
 
 Value = TypeVar("Value")
 
 
-class Target:
-    """An object prepared for measuring; what costs time is done when first asked for, and kept.
+class _Kept:
+    """Values that are computed when first asked for, and kept."""
+
+    def __init__(self):
+        self._kept: dict[Hashable, Any] = {}
+
+    def kept(self, key: Hashable, make: Callable[[], Value]) -> Value:
+        """Return what `make` gave when this key was first asked for."""
+        if key not in self._kept:
+            self._kept[key] = make()
+        return self._kept[key]
+
+
+class GraspTarget(_Kept):
+    """An object prepared for measuring.
 
     Args:
         mesh: metres, closed or open.
     """
 
     def __init__(self, mesh: Mesh):
+        super().__init__()
         self.mesh = mesh
-        self._kept: dict[Hashable, Any] = {}
-
-    def kept(self, key: Hashable, make: Callable[[], Value]) -> Value:
-        """What `make` gave when first asked for by this key."""
-        if key not in self._kept:
-            self._kept[key] = make()
-        return self._kept[key]
 
     @property
     def query(self) -> MeshQuery:
         return self.kept("query", lambda: MeshQuery(self.mesh))
 
     def voxels(self, spacing: float) -> Runs:
-        """Voxels inside."""
+        """Return the voxels inside."""
         return self.kept(("voxels", spacing), lambda: inside(self.mesh, spacing, self.query))
 
 
-class Scene:
-    """Hands on a target."""
+class GraspScene(_Kept):
+    """Hands on a target.
 
-    def __init__(self, target: Target, hands: Hands):
-        self.target, self.hands = target, hands
-        self._crossings: dict[float, list[RayCrossings]] = {}
+    Args:
+        target: the object.
+        hands: N of them.
+        truth: recorded grasps of the object, for protocols that need them.
+    """
+
+    def __init__(self, target: GraspTarget, hands: Hands, truth: Hands | None = None):
+        super().__init__()
+        self.target = target
+        self.hands = hands
+        self.truth = truth
 
     @cached_property
     def distances(self) -> np.ndarray:
@@ -66,13 +81,15 @@ class Scene:
         return distances
 
     def crossings(self, spacing: float) -> list[RayCrossings]:
-        """Of each hand, its wrist closed, with the columns of voxels."""
-        if spacing not in self._crossings:
+        """Return, of each hand, its wrist closed, the crossings with the columns of voxels."""
+
+        def find() -> list[RayCrossings]:
             vertices, faces = self.hands.closed
-            self._crossings[spacing] = [RayCrossings.of(hand, faces, spacing) for hand in vertices]
-        return self._crossings[spacing]
+            return [RayCrossings.of(hand, faces, spacing) for hand in vertices]
+
+        return self.kept(("crossings", spacing), find)
 
     def shared_volume(self, spacing: float) -> np.ndarray:
-        """(N,) m³: voxels whose centres lie inside both hand and object."""
+        """Return (N,) m³: voxels whose centres lie inside both hand and object."""
         solid = self.target.voxels(spacing)
         return np.array([solid.shared(c.inside()) for c in self.crossings(spacing)], float) * spacing**3

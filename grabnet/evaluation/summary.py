@@ -2,115 +2,112 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from itertools import combinations
+from dataclasses import dataclass
+from itertools import combinations, groupby
 
 import numpy as np
 
-from grabnet.evaluation.bootstrap import NOTHING, Estimate, mean, statistic
-from grabnet.evaluation.cache import Arrays
-from grabnet.evaluation.hands import Hands
-from grabnet.evaluation.metrics import Metric
-from grabnet.evaluation.protocols.diversity import Clusters, entropy
-
-ALL = "all"
-# Of these protocols true hands, wherever they are put, are the measure, not what should come out worse or better.
-OF_HANDS_ALONE = ("posture", "diversity", "novelty")
-
-
-@dataclass(eq=False)
-class Row:
-    """A method, its grasps of each object, and what was measured of them.
-
-    Attributes:
-        name: in the tables. about: a sentence.
-        rank: rows of a lower one should come out better; None where nothing is expected.
-        hands: by object.
-        true_hands: whether the hands are recorded ones, if only moved.
-        results: by object, then protocol: an array for each metric, whose first dimension is the grasps'.
-        clusters: of the hands of all objects together.
-    """
-
-    name: str
-    about: str
-    rank: int | None
-    hands: dict[str, Hands]
-    true_hands: bool = False
-    results: dict[str, dict[str, Arrays]] = field(default_factory=dict)
-    clusters: Clusters | None = None
-
-    def values(self, metric: Metric, thing: str) -> np.ndarray:
-        """Those of an object's grasps that count, in the metric's unit; empty where nothing was measured."""
-        found = self.results.get(thing, {}).get(metric.protocol, {}).get(metric.name)
-        return np.empty(0) if found is None else found[: metric.samples].astype(float) * metric.scale
+from grabnet.evaluation.bootstrap import Estimate, mean
+from grabnet.evaluation.methods import Method
+from grabnet.evaluation.metrics import ALL, Metric
 
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """A number of the tables. object: `ALL` for the mean over objects, each weighing the same."""
+    """A number of the tables.
+
+    Attributes:
+        metric: what it is.
+        method: name of the method.
+        object: `ALL` for the mean over objects, each weighing the same.
+        estimate: value and interval.
+    """
 
     metric: Metric
-    row: str
+    method: str
     object: str
     estimate: Estimate
 
 
 def figures(
-    rows: Sequence[Row], metrics: Sequence[Metric], objects: Sequence[str], draws: int, seed: int
+    methods: Sequence[Method], metrics: Sequence[Metric], objects: Sequence[str], draws: int, seed: int
 ) -> list[Figure]:
-    """Every metric of every row, of each object and of all; those of which nothing was measured are left out.
+    """Return every metric of every method, of each object and of all; without those of which nothing was measured.
 
     Args:
+        methods: measured.
+        metrics: in the order of the tables.
+        objects: names.
         draws: of the bootstrap.
+        seed: of the bootstrap.
     """
-    found = []
+    numbers = []
     for metric in metrics:
-        for row in rows:
-            values = {thing: row.values(metric, thing) for thing in objects}
-            estimates = {thing: mean([v], draws, seed) for thing, v in values.items()}
-            if metric.protocol == "diversity":
-                estimates = {ALL: _of_clusters(metric.name, row.clusters, draws, seed)}
+        for method in methods:
+            if metric.title in method.estimates:
+                estimates = {ALL: method.estimates[metric.title]}
             else:
+                values = {name: method.values(metric, name) for name in objects}
+                estimates = {name: mean([v], draws, seed) for name, v in values.items()}
                 estimates[ALL] = mean(list(values.values()), draws, seed)
-            found += [Figure(metric, row.name, thing, e) for thing, e in estimates.items() if np.isfinite(e.value)]
-    return found
+            numbers += [Figure(metric, method.name, name, e) for name, e in estimates.items() if np.isfinite(e.value)]
+    return numbers
 
 
-def _of_clusters(name: str, clusters: Clusters | None, draws: int, seed: int) -> Estimate:
-    """Redrawn hands stay in the clusters of all."""
-    if clusters is None:
-        return NOTHING
-    if name == "cluster_size":
-        return mean([clusters.distance], draws, seed)
-    return statistic(len(clusters.label), lambda index: entropy(np.bincount(clusters.label[index])), draws, seed)
-
-
-def find(found: Sequence[Figure], metric: Metric, row: str, thing: str = ALL) -> Estimate | None:
-    """The number in a table's cell, if there is one."""
-    same = (f.estimate for f in found if f.metric == metric and f.row == row and f.object == thing)
+def find(numbers: Sequence[Figure], metric: Metric, method: str, object_name: str = ALL) -> Estimate | None:
+    """Return the number of a table's cell, if there is one."""
+    same = (f.estimate for f in numbers if f.object == object_name and f.method == method and f.metric == metric)
     return next(same, None)
 
 
-def surprises(found: Sequence[Figure], rows: Sequence[Row], metrics: Sequence[Metric]) -> list[str]:
-    """A sentence for every two rows that come out in the other order than they should, by more than chance: in which
-    metrics, and how."""
+def expected_order(methods: Sequence[Method]) -> str:
+    """Return the methods' names, best first, as their ranks have it: "A, then B and C, then D"."""
+    ranked = sorted((method for method in methods if method.rank is not None), key=lambda method: method.rank)
+    groups = groupby(ranked, key=lambda method: method.rank)
+    return ", then ".join(" and ".join(method.name for method in group) for _, group in groups)
+
+
+def unexpected_order(numbers: Sequence[Figure], methods: Sequence[Method], metrics: Sequence[Metric]) -> list[str]:
+    """Return a sentence for every two methods that come out in the other order than expected, by more than chance: in
+    which metrics, and how."""
     sentences = []
-    for one, other in combinations(rows, 2):
+    for one, other in combinations(methods, 2):
         if None in (one.rank, other.rank) or one.rank == other.rank:
             continue
         good, bad = (one, other) if one.rank < other.rank else (other, one)
         where = []
         for metric in metrics:
-            if metric.better is None or (metric.protocol in OF_HANDS_ALONE and (good.true_hands or bad.true_hands)):
+            if metric.better is None or (metric.of_hand_alone and (good.is_recorded or bad.is_recorded)):
                 continue
-            a, b = find(found, metric, good.name), find(found, metric, bad.name)
+            a, b = find(numbers, metric, good.name), find(numbers, metric, bad.name)
             if a and b and (a.above(b) if metric.better == "lower" else b.above(a)):
-                where.append(
-                    f"{metric.title} ({b.value:.3g} against {a.value:.3g}{f' {metric.unit}' if metric.unit else ''})"
-                )
+                unit = f" {metric.unit}" if metric.unit else ""
+                where.append(f"{metric.title} ({b.value:.3g} against {a.value:.3g}{unit})")
         if where:
             sentences.append(
                 f"{bad.name} comes out better than {good.name}, by more than chance, in {', '.join(where)}."
             )
     return sentences
+
+
+def failures(methods: Sequence[Method], protocols: Sequence[str], objects: Sequence[str]) -> list[str]:
+    """Return a sentence for every object and reason for which grasps could not be measured.
+
+    Args:
+        methods: measured.
+        protocols: names of those that may have results `failure`.
+        objects: names.
+    """
+    failed: dict[tuple[str, str, int, int], list[str]] = {}
+    for object_name in objects:
+        for protocol in dict.fromkeys(protocols):
+            results = [method.results.get(object_name, {}).get(f"{protocol}/failure", ()) for method in methods]
+            reasons = [str(reason) for of_method in results for reason in of_method]
+            for reason, count in Counter(filter(None, reasons)).most_common():
+                failed.setdefault((object_name, reason, count, len(reasons)), []).append(protocol)
+    return [
+        f"{object_name}: {' and '.join(names)} failed for {count} of {total} grasps: {reason}"
+        for (object_name, reason, count, total), names in failed.items()
+    ]

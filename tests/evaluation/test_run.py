@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +22,14 @@ from grabnet.body.hand import HandModel
 from grabnet.cli.entry import compose
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.errors import UserError
-from grabnet.evaluation.run import evaluate
+from grabnet.evaluation.run import run
 from grabnet.generation.grabber import Grabber
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.rotations import matrix_to_axis_angle
 from grabnet.io.files import sha256
 from grabnet.models.weights import save_network
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -36,25 +41,26 @@ def runs(grabber, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def call(runs, tiny_dataset, cache_dir, tmp_path_factory):
-    """Evaluate four grasps of the ring, those of the can being for validation."""
+def arguments(runs, tiny_dataset, cache_dir) -> list[str]:
+    """For four grasps of the ring, those of the can being for validation."""
+    few = ["n=4", "halo_samples=3", "draws=50", "pictures=0", "scenes=1", "processes=1", "reconstruction=false"]
+    data = ["data=frames", f"data.root={tiny_dataset}", "data.val_objects=[can]", "data.test_objects=[ring]"]
+    places = ["models=[newest]", f"runs={runs}", f"cache_dir={cache_dir}", f"data.cache_dir={cache_dir}"]
+    return [*data, "data.near_points=32", *few, "simulated=0", *places]
 
-    def call(*overrides: str, output: Path | None = None) -> Path:
-        output = output or tmp_path_factory.mktemp("evaluation")
-        few = ["n=4", "halo_samples=3", "draws=50", "pictures=0", "scenes=1", "processes=1", "reconstruction=false"]
-        few.append("simulated=0")
-        data = [f"data.root={tiny_dataset}", "data.val_objects=[can]", "data.test_objects=[ring]"]
-        few += ["models=[newest]", f"runs={runs}"]
-        places = [
-            f"cache_dir={cache_dir}",
-            f"data.cache_dir={cache_dir}",
-            f"output={output}",
-        ]
-        cfg = compose("evaluate", ["data=frames", *data, "data.near_points=32", *few, *places, *overrides])
+
+@pytest.fixture(scope="module")
+def call(arguments, tmp_path_factory):
+    """Evaluate with these arguments and further ones."""
+
+    def call(*overrides: str, exit_code: int = 0) -> Path:
+        output = tmp_path_factory.mktemp("evaluation")
+        cfg = compose("evaluate", [*arguments, f"output={output}", *overrides])
         try:
-            evaluate(instantiate(cfg, _convert_="object"))
+            code = run(instantiate(cfg, _convert_="object"))
         except InstantiationException as error:  # how Hydra passes on what a constructor raised
             raise error.__cause__ from None
+        assert code == exit_code
         return output
 
     return call
@@ -170,9 +176,10 @@ def test_contact_is_written_with_the_meshes(folder, tiny_dataset):
 
 def test_again_it_is_the_same_and_nothing_is_measured(folder, call, monkeypatch):
     def never(*_, **__):
-        raise AssertionError("was measured anew")
+        raise AssertionError("was measured again")
 
-    for name in ("grabnet.evaluation.measuring._measure", "grabnet.evaluation.run.reconstruction"):
+    places = ("grabnet.evaluation.measuring._measure", "grabnet.evaluation.protocols.reconstruction.reconstruction")
+    for name in places:
         monkeypatch.setattr(name, never)
     monkeypatch.setattr(Grabber, "forward", never)
     assert figures(call("reconstruction=true", "simulated=2")) == figures(folder)
@@ -184,7 +191,7 @@ def test_a_fresh_cache_and_two_processes_give_the_same(folder, call, tmp_path):
     assert again == {name: before[name] for name in again}
 
 
-def test_reconstruction_is_what_a_training_run_tells(folder, runs, tiny_dataset, cache_dir, tmp_path):
+def test_reconstruction_is_what_a_training_run_reports(folder, runs, tiny_dataset, cache_dir, tmp_path):
     """The same networks, tested by Lightning as at the end of a run."""
     import lightning as L
 
@@ -214,9 +221,9 @@ def test_reconstruction_is_what_a_training_run_tells(folder, runs, tiny_dataset,
         trainer.test(module, datamodule=data, verbose=False)
         for split in ("train", "val", "test"):
             for name in ("v2v", "v2v_mae"):
-                told = float(trainer.callback_metrics[f"test/{split}/{name}"])
-                assert errors[kind, split, "all"][name] == pytest.approx(told, rel=1e-5)
-        frames = [e["n"] for (k, _, thing), e in errors.items() if k == kind and thing == "all"]
+                tested = float(trainer.callback_metrics[f"test/{split}/{name}"])
+                assert errors[kind, split, "all"][name] == pytest.approx(tested, rel=1e-5)
+        frames = [e["n"] for (k, _, name), e in errors.items() if k == kind and name == "all"]
         assert frames == [len(data.frames(s)) for s in ("train", "val", "test")]
 
 
@@ -243,13 +250,13 @@ def made(tmp_path, grabber, tiny_dataset, cache_dir) -> Path:
 
 
 def test_grasps_of_other_methods(call, made):
-    output = call(f"grasps=[{made / 'parameters'},{made / 'meshes'}]")
+    output = call("models=[]", f"grasps=[{made / 'parameters'},{made / 'meshes'}]")
     found = results(output)
     assert list(found["rows"]) == ["Ground truth", "Naive baseline", "parameters", "meshes"]
     for metric in ("table2/vertices", "halo/volume", "halo/depth", "contact/area", "novelty/distance"):
         values = found["metrics"][metric]["values"]
         assert values["parameters"]["all"]["value"] == pytest.approx(values["meshes"]["all"]["value"], rel=1e-3)
-    # Joint angles are not to be had from meshes.
+    # Meshes have no joint angles.
     assert "meshes" not in found["metrics"]["posture/violations"]["values"]
 
 
@@ -260,7 +267,7 @@ def test_hands_far_away_and_tiny_ones_give_zeros(call, made, tmp_path):
             mesh = trimesh.load(made / "meshes" / "ring" / f"hand_{i + 1}.ply", process=False)
             mesh.vertices = scale * mesh.vertices + offset
             mesh.export(tmp_path / name / "ring" / f"{i}.ply")
-    found = results(call(f"grasps=[{tmp_path / 'far'},{tmp_path / 'tiny'}]", "simulated=2"))
+    found = results(call("models=[]", f"grasps=[{tmp_path / 'far'},{tmp_path / 'tiny'}]", "simulated=2"))
     none = ["halo/volume", "halo/depth", "halo/contact", "grasptta/volume", "grasptta/contact", "contact/area"]
     none += ["contact/fingers", "contact/pinched", "penetration/max", "penetration/mean", "shake/success"]
     none += ["shake/failed", "grasptta/failed"]
@@ -269,20 +276,20 @@ def test_hands_far_away_and_tiny_ones_give_zeros(call, made, tmp_path):
         assert found["metrics"]["grasptta/displacement"]["values"][row]["all"]["value"] == pytest.approx(
             10.73, abs=0.01
         )
-    assert found["failed_simulations"] == []
+    assert found["failures"] == []
 
 
-def test_an_object_that_cannot_be_cut_is_told_and_the_rest_goes_on(call, made, capsys):
+def test_an_object_that_cannot_be_cut_is_reported_and_the_rest_goes_on(call, made, capsys):
     """CoACD has a second: enough for the can, which is convex, and not for the ring."""
     shutil.copytree(made / "parameters" / "ring", made / "parameters" / "can")
     endless = [f"physics.decomposition.{name}" for name in ("time_limit=2", "nodes=50", "iterations=100000")]
     objects = ["data.test_objects=[ring,can]", "data.val_objects=[]"]
-    output = call(f"grasps={made / 'parameters'}", "simulated=2", *endless, *objects)
+    output = call("models=[]", f"grasps={made / 'parameters'}", "simulated=2", *endless, *objects, exit_code=1)
     found = results(output)
-    (told,) = found["failed_simulations"]
-    assert re.match(r"ring: the simulation of 6 of 6 grasps failed: .*not done after 2 s", told)
-    assert told in (output / "report.html").read_text(encoding="utf-8").replace("&#x27;", "'")
-    assert told in capsys.readouterr().out
+    (sentence,) = found["failures"]
+    assert re.match(r"ring: grasptta and shake failed for 6 of 6 grasps: .*not done after 2 s", sentence)
+    assert sentence in (output / "report.html").read_text(encoding="utf-8").replace("&#x27;", "'")
+    assert sentence in capsys.readouterr().out
     values = {name: found["metrics"][name]["values"]["parameters"] for name in ("shake/failed", "shake/displacement")}
     assert values["shake/failed"]["ring"]["value"] == 100
     assert values["shake/failed"]["can"]["value"] == 0
@@ -290,8 +297,21 @@ def test_an_object_that_cannot_be_cut_is_told_and_the_rest_goes_on(call, made, c
     assert found["metrics"]["halo/volume"]["values"]["parameters"]["ring"]["n"] == 3
 
 
+def test_a_folder_without_an_object_is_reported_and_the_rest_goes_on(arguments, made, tmp_path):
+    """By the command line: exit code 1, since some failed."""
+    objects = ["data.test_objects=[ring,can]", "data.val_objects=[]"]
+    given = [*arguments, "models=[]", *objects, f"grasps={made / 'parameters'}", f"output={tmp_path / 'output'}"]
+    command = [sys.executable, str(ROOT / "scripts" / "evaluate.py"), *given]
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
+    assert done.returncode == 1, done.stderr
+    assert "parameters has no grasps of can" in done.stdout
+    found = results(tmp_path / "output")
+    assert found["rows"]["parameters"].endswith("which has none of can")
+    assert set(found["metrics"]["penetration/max"]["values"]["parameters"]) == {"ring", "all"}
+
+
 @pytest.mark.parametrize(
-    ("spoil", "told"),
+    ("spoil", "sentence"),
     [
         (lambda p: shutil.rmtree(p / "meshes" / "ring"), "no folder called like an object"),
         (lambda p: [f.unlink() for f in (p / "meshes" / "ring").iterdir()], "neither grasps.npz nor hand meshes"),
@@ -308,31 +328,37 @@ def test_an_object_that_cannot_be_cut_is_told_and_the_rest_goes_on(call, made, c
         ),
     ],
 )
-def test_unusable_grasps_are_refused(call, made, spoil, told):
+def test_unusable_grasps_are_refused(call, made, spoil, sentence):
     spoil(made)
-    with pytest.raises(UserError, match=told):
-        call(f"grasps={made / 'meshes'}")
+    with pytest.raises(UserError, match=sentence):
+        call("models=[]", f"grasps={made / 'meshes'}")
 
 
 def test_grasps_for_another_mesh_are_refused(call, made):
     (made / "parameters" / "ring" / "grasps.json").write_text(json.dumps({"mesh_sha256": "0" * 64}))
     with pytest.raises(UserError, match="made for another mesh"):
-        call(f"grasps={made / 'parameters'}")
+        call("models=[]", f"grasps={made / 'parameters'}")
 
 
 @pytest.mark.parametrize(
-    ("override", "told"),
+    ("override", "sentence"),
     [
         ("n=0", "at least 1"),
         ("split=tests", "it can be train, val, test"),
         ("only=[mug]", "only names mug; the test objects are ring"),
         ("models=[anywhere]", "anywhere does not exist"),
+        ("device=tpu", "it can be auto, cpu, cuda"),
         ("contact_distance=0", "must be positive"),
     ],
 )
-def test_wrong_values_are_told(call, override, told):
-    with pytest.raises(UserError, match=told):
+def test_wrong_values_are_refused(call, override, sentence):
+    with pytest.raises(UserError, match=sentence):
         call(override)
+
+
+def test_metrics_and_data_share_one_distance_of_contact(arguments):
+    cfg = compose("evaluate", [*arguments, "data.contact_distance=0.003"])
+    assert cfg.contact_distance == 0.003
 
 
 def test_poses_turned_by_hand(made, tiny_dataset, hand):

@@ -2,25 +2,24 @@
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from grabnet.evaluation.bootstrap import NOTHING, mean, statistic
-from grabnet.evaluation.metrics import Metric
+from grabnet.evaluation.methods import Method
+from grabnet.evaluation.metrics import ALL, Metric
 from grabnet.evaluation.reporting.tables import digits
-from grabnet.evaluation.summary import ALL, Row, figures, find, surprises
+from grabnet.evaluation.summary import expected_order, failures, figures, find, unexpected_order
 
 DEPTH = Metric("penetration", "max", "mm", "depth", "lower")
 SHARE = Metric("halo", "contact", "%", "share", "higher", 2)
-BENT = Metric("posture", "excess", "°", "angle", "lower")
+BENT = Metric("posture", "excess", "°", "angle", "lower", of_hand_alone=True)
 
 
-def row(name: str, rank: int | None, true_hands: bool = False, **values: list[float]) -> Row:
+def row(name: str, rank: int | None, is_recorded: bool = False, **values: list[float]) -> Method:
     """values: of two objects, alike."""
-    results = {"penetration": {"max": "depth"}, "halo": {"contact": "share"}, "posture": {"excess": "bent"}}
-    found = {
-        protocol: {name: np.array(values[key]) for name, key in names.items() if key in values}
-        for protocol, names in results.items()
-    }
-    return Row(name, "", rank, {}, true_hands, {"a": found, "b": found})
+    titles = {"depth": DEPTH.title, "share": SHARE.title, "bent": BENT.title}
+    results = {titles[key]: np.array(numbers) for key, numbers in values.items()}
+    return Method(name, "", rank, {}, is_recorded, {"a": results, "b": results})
 
 
 def test_the_interval_of_a_mean_is_that_of_the_normal_distribution():
@@ -29,6 +28,22 @@ def test_the_interval_of_a_mean_is_that_of_the_normal_distribution():
     assert estimate.value == pytest.approx(values.mean())
     error = values.std() / np.sqrt(len(values))
     np.testing.assert_allclose(estimate.interval, values.mean() + 1.96 * error * np.array([-1, 1]), atol=0.15 * error)
+
+
+def test_the_redrawings_are_those_of_scipy():
+    rng = np.random.default_rng(3)
+    groups = [rng.normal(size=20), rng.normal(size=30)]
+    estimate = mean(groups, 200, 7)
+    reference = scipy.stats.bootstrap(
+        groups,
+        lambda *samples, axis=-1: np.mean([sample.mean(axis) for sample in samples], axis=0),
+        n_resamples=200,
+        vectorized=True,
+        method="percentile",
+        random_state=np.random.default_rng(7),
+    )
+    np.testing.assert_allclose(estimate.drawn, reference.bootstrap_distribution, rtol=1e-12)
+    np.testing.assert_allclose(estimate.interval, reference.confidence_interval, rtol=1e-9)
 
 
 def test_objects_weigh_the_same_however_many_grasps_they_have():
@@ -63,19 +78,40 @@ def test_figures_of_each_object_and_all():
     assert {f.object for f in found} == {"a", "b", ALL}
 
 
-def test_rows_in_the_wrong_order_are_told():
+def test_rows_in_the_wrong_order_are_named():
     true = row("true", 0, True, depth=[5, 5.1] * 20, share=[1, 1], bent=[9.0] * 40)
     good = row("good", 1, depth=[1, 1.1] * 20, share=[0, 0], bent=[0.0] * 40)
     other = row("other", None, depth=[0.0] * 40, share=[0, 0], bent=[0.0] * 40)
     found = figures([true, good, other], [DEPTH, SHARE, BENT], ["a", "b"], 100, 0)
-    told = surprises(found, [true, good, other], [DEPTH, SHARE, BENT])
-    assert told == ["good comes out better than true, by more than chance, in penetration/max (1.05 against 5.05 mm)."]
+    sentences = unexpected_order(found, [true, good, other], [DEPTH, SHARE, BENT])
+    assert sentences == [
+        "good comes out better than true, by more than chance, in penetration/max (1.05 against 5.05 mm)."
+    ]
 
 
-def test_differences_within_chance_are_not_told():
+def test_differences_within_chance_are_not_named():
     rng = np.random.default_rng(0)
     rows = [row(name, k, depth=list(rng.normal(size=40))) for k, name in enumerate(("one", "two"))]
-    assert surprises(figures(rows, [DEPTH], ["a", "b"], 500, 0), rows, [DEPTH]) == []
+    assert unexpected_order(figures(rows, [DEPTH], ["a", "b"], 500, 0), rows, [DEPTH]) == []
+
+
+def test_the_expected_order_is_that_of_ranks():
+    rows = [row("c", 3), row("a", 0), row("other", None), row("b", 1), row("b2", 1)]
+    assert expected_order(rows) == "a, then b and b2, then c"
+
+
+def test_failures_are_counted_by_object_and_reason():
+    one, other = row("one", None), row("other", None)
+    one.results = {"a": {"p/failure": np.array(["", "stuck"]), "q/failure": np.array(["", "stuck"])}, "b": {}}
+    other.results = {"a": {"p/failure": np.array(["stuck", "lost"])}}
+    assert failures([one, other], ["p", "q"], ["a", "b"]) == [
+        "a: p failed for 2 of 4 grasps: stuck",
+        "a: p failed for 1 of 4 grasps: lost",
+        "a: q failed for 1 of 2 grasps: stuck",
+    ]
+    one.results["a"]["q/failure"] = other.results["a"]["q/failure"] = np.array(["stuck", ""])
+    sentences = failures([one, other], ["p", "q", "p"], ["a"])
+    assert sentences[0] == "a: p and q failed for 2 of 4 grasps: stuck"
 
 
 def test_three_digits():

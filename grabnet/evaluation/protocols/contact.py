@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
 
 from grabnet.body.anatomy import FINGERS
 from grabnet.evaluation.hands import HandLabels
-from grabnet.evaluation.metrics import Metric
-from grabnet.evaluation.scene import Scene
+from grabnet.evaluation.inputs import EvaluationInputs
+from grabnet.evaluation.metrics import Metric, Section
+from grabnet.evaluation.protocol import PerGrasp
+from grabnet.evaluation.scene import GraspScene
 
 PARTS = (*FINGERS, "palm")
+_CONTACT = Section("Contact")
 
 
-class FingerContact:
+class FingerContact(PerGrasp):
     """Contact by finger.
 
     A hand vertex is in contact where it is inside the object or within `distance` of its surface, and stands for a
@@ -28,37 +33,61 @@ class FingerContact:
     name = "contact"
 
     def __init__(self, labels: HandLabels, distance: float):
-        self.labels, self.distance = labels, distance
+        self.labels = labels
+        self.distance = distance
         self.settings = f"{distance}"
         within = f"inside the object or within {1000 * distance:g} mm of it"
+        pinched = "share of grasps in which the thumb and another finger touch"
         self.metrics = (
-            Metric("contact", "area", "cm²", f"skin {within}"),
-            Metric("contact", "fingers", "", f"fingers with a vertex {within}"),
-            Metric("contact", "pinched", "%", "share of grasps in which the thumb and another finger touch", "higher"),
-            *(Metric("contact", f"touches_{p}", "%", f"share of grasps in which the {p} touches") for p in PARTS),
-            *(Metric("contact", f"area_{p}", "cm²", f"skin of the {p} {within}") for p in PARTS),
+            Metric("contact", "area", "cm²", f"skin {within}", section=_CONTACT),
+            Metric(
+                *("contact", "fingers", "", f"fingers with a vertex {within}"),
+                section=_CONTACT,
+                headline=True,
+                caption="{:.0f} fingers",
+            ),
+            Metric("contact", "pinched", "%", pinched, "higher", section=_CONTACT, headline=True),
+            *(
+                Metric(
+                    "contact",
+                    f"touches_{p}",
+                    "%",
+                    f"share of grasps in which the {p} touches",
+                    section=_CONTACT,
+                    part=p,
+                )
+                for p in PARTS
+            ),
+            *(
+                Metric("contact", f"area_{p}", "cm²", f"skin of the {p} {within}", section=_CONTACT, part=p)
+                for p in PARTS
+            ),
         )
 
-    def __call__(self, scene: Scene) -> dict[str, np.ndarray]:
+    @classmethod
+    def of(cls, inputs: EvaluationInputs) -> Self:
+        return cls(inputs.labels, inputs.config.contact_distance)
+
+    def __call__(self, scene: GraspScene) -> dict[str, np.ndarray]:
         hands = scene.hands
         area = 1e4 * vertex_areas(hands.vertices, hands.faces) * (scene.distances < self.distance)
-        found = {metric.name: np.full(len(hands), np.nan) for metric in self.metrics}
-        found["area"] = area.sum(1)
+        results = {metric.name: np.full(len(hands), np.nan) for metric in self.metrics}
+        results["area"] = area.sum(1)
         if self.labels.fit(hands):
             touching = []
             for k, part in enumerate(PARTS):
                 members = self.labels.finger == (k if part in FINGERS else -1)
-                found[f"area_{part}"] = area[:, members].sum(1)
+                results[f"area_{part}"] = area[:, members].sum(1)
                 touching.append((scene.distances[:, members] < self.distance).any(1))
-                found[f"touches_{part}"] = touching[-1].astype(float)
+                results[f"touches_{part}"] = touching[-1].astype(float)
             fingers = np.stack(touching[: len(FINGERS)], 1)
-            found["fingers"] = fingers.sum(1).astype(float)
-            found["pinched"] = (fingers[:, 0] & fingers[:, 1:].any(1)).astype(float)
-        return found
+            results["fingers"] = fingers.sum(1).astype(float)
+            results["pinched"] = (fingers[:, 0] & fingers[:, 1:].any(1)).astype(float)
+        return results
 
 
 def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(..., V) float64: a third of the area of the faces (F, 3) around each of vertices (..., V, 3)."""
+    """Return (..., V) float64: a third of the area of the faces (F, 3) around each of vertices (..., V, 3)."""
     a, b, c = np.moveaxis(np.asarray(vertices, np.float64)[..., faces, :], -2, 0)
     third = np.linalg.norm(np.cross(b - a, c - a), axis=-1) / 6
     areas = np.zeros(vertices.shape[:-1])

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import trimesh
 
 from grabnet.contact.annotator import ContactAnnotator
+from grabnet.evaluation.colours import blended
 from grabnet.evaluation.hands import HandLabels, Hands
-from grabnet.evaluation.scene import Scene
+from grabnet.evaluation.inputs import EvaluationInputs
+from grabnet.evaluation.methods import Method
+from grabnet.evaluation.protocol import PerGrasp
+from grabnet.evaluation.scene import GraspScene
 from grabnet.geometry.mesh import Mesh
 from grabnet.io.files import replacing, write_bytes
 from grabnet.visual.pictures import OBJECT, SKIN
 
-TOUCHED = (0.86, 0.2, 0.15)
 
-
-class ContactMaps:
+class ContactMaps(PerGrasp):
     """Which vertices of object and hand touch.
 
     object: (N, V of the object) uint8, the part of the hand that touches each vertex, 0 for none. hand: (N, V) uint8,
@@ -29,13 +34,19 @@ class ContactMaps:
     """
 
     name = "maps"
-    metrics = ()
+    highlight = "object"
+    legend = "Red: contact, annotated as in the data set (paper S.7)."
 
     def __init__(self, labels: HandLabels, distance: float):
-        self.labels, self.distance = labels, distance
+        self.labels = labels
+        self.distance = distance
         self.settings = f"{distance}"
 
-    def __call__(self, scene: Scene) -> dict[str, np.ndarray]:
+    @classmethod
+    def of(cls, inputs: EvaluationInputs) -> Self:
+        return cls(inputs.labels, inputs.config.contact_distance)
+
+    def __call__(self, scene: GraspScene) -> dict[str, np.ndarray]:
         parts = self.labels.parts_of(scene.hands)
         # The annotator's bodies are closed; what closes the wrist belongs to it.
         vertices, faces = scene.hands.closed
@@ -44,11 +55,19 @@ class ContactMaps:
             ("annotator", faces.tobytes(), parts.tobytes(), self.distance),
             lambda: ContactAnnotator(scene.target.mesh, vertices[0], faces, closed_parts, self.distance),
         )
-        found = [annotator(hand) for hand in vertices]
+        contacts = [annotator(hand) for hand in vertices]
         return {
-            "object": np.stack([f.object for f in found]),
-            "hand": np.stack([f.body[: len(parts)] for f in found]),
+            "object": np.stack([contact.object for contact in contacts]),
+            "hand": np.stack([contact.body[: len(parts)] for contact in contacts]),
         }
+
+    def write(self, folder: Path, methods: Sequence[Method], inputs: EvaluationInputs) -> None:
+        """Write `contact/<method>/<object>…`, as `write_maps` does."""
+        for method in methods:
+            place = folder / "contact" / re.sub("[^a-z0-9]+", "_", method.name.lower()).strip("_")
+            for name, hands in method.hands.items():
+                maps = {node: method.results[name][f"maps/{node}"] for node in ("object", "hand")}
+                write_maps(place, name, inputs.meshes[name], hands, maps, inputs.config.scenes)
 
 
 def write_maps(folder: Path, name: str, mesh: Mesh, hands: Hands, maps: dict[str, np.ndarray], scenes: int) -> None:
@@ -76,12 +95,6 @@ def write_maps(folder: Path, name: str, mesh: Mesh, hands: Hands, maps: dict[str
             part.vertex_attributes["_contact"] = maps[node][i].astype(np.float32)
             scene.add_geometry(part, node_name=node, geom_name=node)
         write_bytes(folder / f"{name}_{i:03d}.glb", scene.export(file_type="glb"))
-
-
-def blended(base: tuple[float, float, float], share: np.ndarray) -> np.ndarray:
-    """(V, 3) colours in [0, 1] from `base` where share (V,) is 0 to red where it is 1."""
-    share = np.asarray(share, float)[:, None]
-    return (1 - share) * np.array(base) + share * np.array(TOUCHED)
 
 
 def _coloured(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray) -> trimesh.Trimesh:

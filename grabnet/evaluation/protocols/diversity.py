@@ -2,23 +2,117 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.spatial.distance import cdist
+from scipy.stats import entropy
 
-from grabnet.evaluation.metrics import Metric
+from grabnet.evaluation.bootstrap import Estimate, mean, statistic
+from grabnet.evaluation.hands import HandLabels
+from grabnet.evaluation.inputs import EvaluationInputs
+from grabnet.evaluation.methods import Method
+from grabnet.evaluation.metrics import FIELD, HAND, Metric
+from grabnet.evaluation.protocol import MeasuredGrasps, PerMethod, PerObject
+from grabnet.evaluation.recorded import held_out
 
 N_CLUSTERS = 20
 
-METRICS = (
-    Metric("diversity", "entropy", "nats", f"of the {N_CLUSTERS} clusters' shares; at most 3.00", "higher"),
-    Metric(
-        "diversity", "cluster_size", "cm", "mean distance of the 63-D keypoints to their cluster's centre", "higher"
-    ),
-    Metric("novelty", "distance", "cm", "mean distance of the 21 keypoints to those of the nearest training grasp"),
-    Metric("coverage", "reached", "%", "held-out true grasps that are the nearest one of some grasp", "higher"),
-)
+
+class Diversity(PerMethod):
+    """Clusters of the hands of all objects: entropy of their shares, nats, and mean distance to their centres, cm.
+
+    Redrawn hands stay in the clusters of all. Missing for hands of other vertices than the model's, and for fewer hands
+    than clusters.
+
+    Args:
+        labels: of the hand model.
+        draws: of the bootstrap.
+        seed: of k-means and bootstrap.
+    """
+
+    name = "diversity"
+
+    def __init__(self, labels: HandLabels, draws: int, seed: int):
+        self.labels = labels
+        self.draws = draws
+        self.seed = seed
+        highest = f"of the {N_CLUSTERS} clusters' shares; at most {np.log(N_CLUSTERS):.2f}"
+        size = "mean distance of the 63-D keypoints to their cluster's centre"
+        shown = {"section": FIELD, "headline": True, "per_grasp": False, "of_hand_alone": True}
+        self.metrics = (
+            Metric("diversity", "entropy", "nats", highest, "higher", **shown),
+            Metric("diversity", "cluster_size", "cm", size, "higher", **shown),
+        )
+
+    @classmethod
+    def of(cls, inputs: EvaluationInputs) -> Self:
+        return cls(inputs.labels, inputs.config.draws, inputs.config.seed)
+
+    def __call__(self, method: Method) -> dict[str, Estimate]:
+        points = [self.labels.keypoints(hands) for hands in method.hands.values()]
+        if any(p is None for p in points) or (clusters := cluster(np.concatenate(points), self.seed)) is None:
+            return {}
+
+        def of_shares(index: np.ndarray) -> float:
+            return float(entropy(np.bincount(clusters.label[index])))
+
+        return {
+            "entropy": statistic(len(clusters.label), of_shares, self.draws, self.seed),
+            "cluster_size": mean([clusters.distance], self.draws, self.seed),
+        }
+
+
+class Novelty(PerObject):
+    """How new a posture is, wherever the hand is: distance to the nearest training grasp's keypoints.
+
+    Args:
+        labels: of the hand model.
+        training: (M, 21, 3) keypoints of training grasps, as `HandLabels.keypoints` gives them.
+    """
+
+    name = "novelty"
+    metrics = (
+        Metric(
+            *("novelty", "distance", "cm"),
+            "mean distance of the 21 keypoints to those of the nearest training grasp",
+            section=HAND,
+            distribution=True,
+            of_hand_alone=True,
+        ),
+    )
+
+    def __init__(self, labels: HandLabels, training: np.ndarray):
+        self.labels = labels
+        self.training = training
+
+    @classmethod
+    def of(cls, inputs: EvaluationInputs) -> Self:
+        return cls(inputs.labels, inputs.training_keypoints)
+
+    def __call__(self, grasps: MeasuredGrasps) -> dict[str, np.ndarray]:
+        points = self.labels.keypoints(grasps.hands)
+        return {} if points is None else {"distance": novelty(points, self.training)}
+
+
+class Coverage(PerObject):
+    """Which of the object's held-out true grasps are the nearest one of some grasp."""
+
+    name = "coverage"
+    metrics = (
+        Metric(
+            *("coverage", "reached", "%"),
+            "held-out true grasps that are the nearest one of some grasp",
+            "higher",
+            section=HAND,
+            headline=True,
+            per_grasp=False,
+        ),
+    )
+
+    def __call__(self, grasps: MeasuredGrasps) -> dict[str, np.ndarray]:
+        nearest = grasps.results["table2/nearest"]
+        return {"reached": reached(nearest, held_out(grasps.truth).sum())} if (nearest >= 0).any() else {}
 
 
 class Clusters(NamedTuple):
@@ -27,23 +121,15 @@ class Clusters(NamedTuple):
     label: np.ndarray
     distance: np.ndarray
 
-    @property
-    def entropy(self) -> float:
-        """Of the shares of the clusters, nats."""
-        return entropy(np.bincount(self.label))
-
-    def drawn(self, index: np.ndarray) -> Clusters:
-        """The chosen hands, in the clusters of all."""
-        return Clusters(self.label[index], self.distance[index])
-
 
 def cluster(keypoints: np.ndarray, seed: int, k: int = N_CLUSTERS) -> Clusters | None:
-    """k-means of hands, all objects together (ref. 9, `diversity`).
+    """Return clusters of hands, all objects together, by k-means (ref. 9, `diversity`).
 
     Args:
         keypoints: (N, 21, 3) metres in each hand's own frame, as `HandLabels.keypoints` gives them; in cm they are the
             63 dimensions.
         seed: of k-means.
+        k: clusters.
 
     Returns:
         None where there are fewer hands than clusters.
@@ -53,26 +139,23 @@ def cluster(keypoints: np.ndarray, seed: int, k: int = N_CLUSTERS) -> Clusters |
     points = 100 * keypoints.reshape(len(keypoints), -1)
     if len(points) < k:
         return None
-    found = KMeans(k, n_init=10, random_state=seed).fit(points)
-    return Clusters(found.labels_, np.linalg.norm(points - found.cluster_centers_[found.labels_], axis=1))
-
-
-def entropy(counts: np.ndarray) -> float:
-    """Of shares that are proportional to counts, nats."""
-    share = counts[counts > 0] / counts.sum()
-    return float(-(share * np.log(share)).sum())
+    fitted = KMeans(k, n_init=10, random_state=seed).fit(points)
+    return Clusters(fitted.labels_, np.linalg.norm(points - fitted.cluster_centers_[fitted.labels_], axis=1))
 
 
 def novelty(keypoints: np.ndarray, training: np.ndarray) -> np.ndarray:
-    """(N,) cm: mean distance between the 21 keypoints (N, 21, 3) of each hand and those of the nearest of the training
-    hands (M, 21, 3), all in their own frames: how new a posture is, wherever the hand is."""
+    """Return (N,) cm: mean distance between the keypoints of each hand and those of the nearest training hand.
+
+    Args:
+        keypoints: (N, 21, 3) metres, in each hand's own frame.
+        training: (M, 21, 3), likewise.
+    """
     total = np.zeros((len(keypoints), len(training)))
     for k in range(keypoints.shape[1]):
         total += cdist(keypoints[:, k], training[:, k])
     return 100 * total.min(1) / keypoints.shape[1]
 
 
-def reached(nearest: np.ndarray, n_reference: int) -> np.ndarray:
-    """(n_reference,) 1 for each held-out true grasp of an object that is the nearest one (`ClosestHand`) of some of the
-    grasps; `nearest` (N,) holds their numbers."""
-    return np.isin(np.arange(n_reference), nearest).astype(float)
+def reached(nearest: np.ndarray, n_held_out: int) -> np.ndarray:
+    """Return (n_held_out,): 1 for each held-out true grasp of an object whose number is in `nearest` (N,)."""
+    return np.isin(np.arange(n_held_out), nearest).astype(float)

@@ -32,7 +32,7 @@ def engines() -> dict[str, str]:
 
 
 @dataclass(frozen=True)
-class Protocol:
+class DropTest:
     """The constants of a simulation; `configs/evaluation/physics.yaml` explains the values.
 
     Raises:
@@ -61,8 +61,8 @@ class Protocol:
 class PhysicsConfig:
     """The values of `configs/evaluation/physics.yaml`."""
 
-    grasptta: Protocol
-    shake: Protocol
+    grasptta: DropTest
+    shake: DropTest
     decomposition: DecompositionConfig
 
 
@@ -140,7 +140,7 @@ class Simulator:
     def _six(self, vertices: np.ndarray) -> np.ndarray:
         return np.broadcast_to(np.concatenate([np.eye(3), -np.eye(3)]), (len(vertices), 6, 3))
 
-    def _outcomes(self, vertices: np.ndarray, runs: Sequence[tuple[Protocol, np.ndarray]]) -> list[list[Outcome]]:
+    def _outcomes(self, vertices: np.ndarray, runs: Sequence[tuple[DropTest, np.ndarray]]) -> list[list[Outcome]]:
         """Args: runs: protocols, each with directions (B, D, 3), unit vectors along which gravity pulls in turn."""
         if vertices.ndim != 3 or vertices.shape[1:] != (self.n_vertices, 3):
             raise UserError(
@@ -152,14 +152,14 @@ class Simulator:
             for i, hand in enumerate(vertices)
         ]
 
-    def _of_grasp(self, hand: np.ndarray, runs: Sequence[tuple[Protocol, np.ndarray]]) -> list[Outcome]:
+    def _of_grasp(self, hand: np.ndarray, runs: Sequence[tuple[DropTest, np.ndarray]]) -> list[Outcome]:
         try:
             simulation = Simulation(self.body, [hand[piece] for piece in self.pieces], runs[0][0].dynamics)
         except SimulationError as error:
             return [Outcome(None, None, str(error))] * len(runs)
         return [self._outcome(simulation, *run) for run in runs]
 
-    def _outcome(self, simulation: Simulation, protocol: Protocol, directions: np.ndarray) -> Outcome:
+    def _outcome(self, simulation: Simulation, protocol: DropTest, directions: np.ndarray) -> Outcome:
         limit = math.inf if protocol.limit is None else protocol.limit
         simulation.dynamics = protocol.dynamics
         farthest = 0.0

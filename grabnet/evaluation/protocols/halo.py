@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
 
-from grabnet.evaluation.metrics import Metric
-from grabnet.evaluation.scene import Scene
+from grabnet.evaluation.inputs import EvaluationInputs
+from grabnet.evaluation.metrics import FIELD, Metric
+from grabnet.evaluation.protocol import PerGrasp
+from grabnet.evaluation.scene import GraspScene
 
 
-class Halo:
+class Halo(PerGrasp):
     """Intersection volume in voxels of 1 mm, deepest vertex, and whether any vertex is inside.
 
     The wrist is closed first. volume: voxels whose centres are inside both, cm³. depth: of the deepest hand vertex
@@ -25,13 +29,20 @@ class Halo:
     def __init__(self, samples: int = 20, spacing: float = 0.001):
         self.spacing = spacing
         self.settings = f"{spacing}"
+        volume = f"centres of {1000 * spacing:g} mm voxels inside both hand and object"
+        depth = "depth of the deepest hand vertex inside the object"
+        contact = "share of grasps with a hand vertex inside the object"
         self.metrics = (
-            Metric("halo", "volume", "cm³", "centres of 1 mm voxels inside both hand and object", "lower", samples),
-            Metric("halo", "depth", "cm", "depth of the deepest hand vertex inside the object", "lower", samples),
-            Metric("halo", "contact", "%", "share of grasps with a hand vertex inside the object", "higher", samples),
+            Metric("halo", "volume", "cm³", volume, "lower", samples, FIELD, headline=True, distribution=True),
+            Metric("halo", "depth", "cm", depth, "lower", samples, FIELD, headline=True),
+            Metric("halo", "contact", "%", contact, "higher", samples, FIELD, headline=True),
         )
 
-    def __call__(self, scene: Scene) -> dict[str, np.ndarray]:
+    @classmethod
+    def of(cls, inputs: EvaluationInputs) -> Self:
+        return cls(inputs.config.halo_samples)
+
+    def __call__(self, scene: GraspScene) -> dict[str, np.ndarray]:
         nearest = scene.distances.min(1)
         return {
             "volume": 1e6 * scene.shared_volume(self.spacing),

@@ -6,21 +6,30 @@ import numpy as np
 import torch
 
 from grabnet.contact.contacts import DEFINITIONS, Contacts
-from grabnet.evaluation.metrics import Metric
-from grabnet.evaluation.scene import Scene
+from grabnet.evaluation.metrics import FIELD, Metric
+from grabnet.evaluation.protocol import PerGrasp
+from grabnet.evaluation.scene import GraspScene
+
+_MAX = DEFINITIONS["max_penetration_mm"]
+_MEAN = DEFINITIONS["mean_penetration_mm"]
 
 
-class Penetration:
+class Penetration(PerGrasp):
     """Depth of the deepest hand vertex, and mean depth over those inside; mm, 0 where none is (`contact.Contacts`)."""
 
     name = "penetration"
-    settings = ""
     metrics = (
-        Metric("penetration", "max", "mm", DEFINITIONS["max_penetration_mm"], "lower"),
-        Metric("penetration", "mean", "mm", DEFINITIONS["mean_penetration_mm"], "lower"),
+        Metric(
+            *("penetration", "max", "mm", _MAX, "lower"),
+            section=FIELD,
+            headline=True,
+            distribution=True,
+            caption="{:.1f} mm deep",
+        ),
+        Metric("penetration", "mean", "mm", _MEAN, "lower", section=FIELD),
     )
 
-    def __call__(self, scene: Scene) -> dict[str, np.ndarray]:
+    def __call__(self, scene: GraspScene) -> dict[str, np.ndarray]:
         distances = torch.from_numpy(scene.distances)
         contacts = Contacts(distances=distances, finger=torch.zeros(distances.shape[1], dtype=torch.int64))
         return {

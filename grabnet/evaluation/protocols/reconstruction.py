@@ -1,4 +1,4 @@
-"""Protocol `reconstruction` (paper 4, Table of v2v errors; ref. 8): how well the networks give true grasps back.
+"""Protocol `reconstruction` (paper 4; ref. 8): how well the networks give true grasps back.
 
 `v2v` is the mean Euclidean distance between the vertices of a true hand and its reconstruction, `v2v_mae` the mean
 absolute difference of their coordinates, mm. CoarseNet reconstructs each grasp from its posterior's mean; RefineNet
@@ -7,68 +7,113 @@ mends a disturbed copy of it. Means are over all frames of a split or of one of 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
-from typing import NamedTuple
+from dataclasses import asdict
+from typing import Self
 
 import numpy as np
 import torch
+from hydra.utils import instantiate
 from rich.progress import track
 
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.data.batches import GraspBatch
 from grabnet.data.datamodule import SPLITS, GraspDataModule
+from grabnet.evaluation.inputs import EvaluationInputs
+from grabnet.evaluation.metrics import ALL, Metric, Section
+from grabnet.evaluation.models import EvaluatedModel
+from grabnet.evaluation.protocol import PerNetwork, Score
 from grabnet.models.weights import load_network
 from grabnet.training.modules import reconstructed, reconstruction_errors, refined
 
+_SECTION = Section(
+    "Reconstruction",
+    "CoarseNet reconstructs from its posterior's mean, RefineNet from disturbed true grasps. v2v is the mean Euclidean "
+    "distance of vertices, v2v_mae the mean |Δ| per coordinate, which is what was published.",
+)
 
-class Errors(NamedTuple):
-    """Mean errors in mm over n frames; object "all" for a whole split."""
+# Those that give true grasps back.
+_NETWORKS = {"CoarseNet", "RefineNet"}
+# From a batch to hands like its true ones.
+Reconstruct = Callable[[GraspBatch], HandParameters]
 
-    network: str
-    split: str
-    object: str
-    v2v: float
-    v2v_mae: float
-    n: int
+
+class Reconstruction(PerNetwork):
+    """Errors of the evaluation's networks, cached by their weights and the data."""
+
+    name = "reconstruction"
+    metrics = tuple(
+        Metric("reconstruction", name, "mm", about, "lower", section=_SECTION, per_grasp=False)
+        for name, about in (
+            ("v2v", "mean Euclidean distance between vertices of a true hand and of its reconstruction"),
+            ("v2v_mae", "mean absolute difference of their coordinates"),
+        )
+    )
+
+    def __init__(self, inputs: EvaluationInputs):
+        self.inputs = inputs
+
+    @classmethod
+    def of(cls, inputs: EvaluationInputs) -> Self | None:
+        any_network = any(_NETWORKS & model.files.keys() for model in inputs.models)
+        return cls(inputs) if inputs.config.reconstruction and any_network else None
+
+    def __call__(self) -> list[Score]:
+        inputs, scores = self.inputs, []
+        settings = json.dumps([inputs.config.source, inputs.config.data], sort_keys=True)
+        for model in inputs.models:
+
+            def compute(model: EvaluatedModel = model) -> list[dict]:
+                inputs.data.setup()
+                return [asdict(score) for score in reconstruction(inputs.data, inputs.hand, _networks(inputs, model))]
+
+            sources = [*model.hashes.values(), settings, *inputs.fingerprint]
+            for score in inputs.cache.get_json("reconstruction", sources, compute):
+                scores.append(Score(**score | {"network": model.title(score["network"], among=inputs.models)}))
+        return scores
+
+
+def _networks(inputs: EvaluationInputs, model: EvaluatedModel) -> dict[str, Reconstruct]:
+    """Those networks of a model that give true grasps back."""
+    networks: dict[str, Reconstruct] = {}
+    loaded = {kind: load_network(file, inputs.hand, kind) for kind, file in model.files.items()}
+    if "CoarseNet" in loaded:
+        networks["CoarseNet"] = lambda batch: reconstructed(loaded["CoarseNet"], batch)[0]
+    if "RefineNet" in loaded:
+        source = instantiate(inputs.config.source)
+        networks["RefineNet"] = lambda batch: refined(loaded["RefineNet"], source(batch), batch)
+    return networks
 
 
 @torch.no_grad()
-def reconstruction(
-    data: GraspDataModule,
-    hand: HandModel,
-    files: Mapping[str, Path],
-    source: Callable[[GraspBatch], HandParameters],
-) -> Iterator[Errors]:
-    """Errors of each network that gives true grasps back, on every split and object.
+def reconstruction(data: GraspDataModule, hand: HandModel, networks: Mapping[str, Reconstruct]) -> Iterator[Score]:
+    """Yield scores of networks on every split and object.
 
     Args:
         data: set up, without a trainer. Its batches seed the disturbances, so that the figures are those of a training
             run's own test.
         hand: the hand model.
-        files: weights of the networks, by kind.
-        source: a batch → disturbed copies of its hands, which RefineNet starts from.
+        networks: by name.
     """
-    networks: dict[str, Callable[[GraspBatch], HandParameters]] = {}
-    if "CoarseNet" in files:
-        coarsenet = load_network(files["CoarseNet"], hand, "CoarseNet")
-        networks["CoarseNet"] = lambda batch: reconstructed(coarsenet, batch)[0]
-    if "RefineNet" in files:
-        refinenet = load_network(files["RefineNet"], hand, "RefineNet")
-        networks["RefineNet"] = lambda batch: refined(refinenet, source(batch), batch)
     for split in SPLITS:
         errors: dict[str, list[np.ndarray]] = {name: [] for name in networks}
         objects = []
         for numbers in track(data.loader(split), f"Reconstruction ({split})", transient=True):
             objects.append(data.frames(split).object[numbers[1]].numpy())
-            for name, predict in networks.items():
+            for name, reconstruct in networks.items():
                 batch = data.on_after_batch_transfer(numbers, 0)  # seeds, too
-                of_batch = reconstruction_errors(hand(predict(batch), batch.rest).vertices, batch.vertices)
+                of_batch = reconstruction_errors(hand(reconstruct(batch), batch.rest).vertices, batch.vertices)
                 errors[name].append(np.stack([of_batch["v2v"].double(), of_batch["v2v_mae"].double()], 1))
         object_of = np.concatenate(objects)
         for name, pieces in errors.items():
             values = np.concatenate(pieces)
-            yield Errors(name, split, "all", *values.mean(0).tolist(), len(values))
+            yield _score(name, split, ALL, values)
             for number in np.unique(object_of):
-                own = values[object_of == number]
-                yield Errors(name, split, data.store.objects[number], *own.mean(0).tolist(), len(own))
+                yield _score(name, split, data.store.objects[number], values[object_of == number])
+
+
+def _score(network: str, split: str, object_name: str, values: np.ndarray) -> Score:
+    """Args: values: (N, 2) v2v and v2v_mae of frames."""
+    means = dict(zip(("v2v", "v2v_mae"), values.mean(0).tolist(), strict=True))
+    return Score(network, split, object_name, means, len(values))

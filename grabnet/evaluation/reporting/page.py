@@ -5,24 +5,23 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from html import escape
+from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from grabnet.data.datamodule import SPLITS
+from grabnet.evaluation.bootstrap import Estimate
 from grabnet.evaluation.cache import Cache
-from grabnet.evaluation.metrics import Metric
-from grabnet.evaluation.protocols.contact import PARTS
-from grabnet.evaluation.protocols.reconstruction import Errors
-from grabnet.evaluation.reporting import published as reported
-from grabnet.evaluation.reporting.plots import COLOURS, distributions, fingers, intervals
-from grabnet.evaluation.reporting.tables import digits, headlines
+from grabnet.evaluation.methods import Method
+from grabnet.evaluation.metrics import ALL, Metric, Section
+from grabnet.evaluation.reporting import published
+from grabnet.evaluation.reporting.findings import Findings
+from grabnet.evaluation.reporting.plots import COLOURS, distributions, intervals, parts
+from grabnet.evaluation.reporting.tables import digits
 from grabnet.evaluation.reporting.views import grasp_view, heat_view
-from grabnet.evaluation.summary import ALL, Figure, Row, find
-from grabnet.geometry.mesh import Mesh
+from grabnet.evaluation.summary import expected_order, find
 from grabnet.io.files import replacing
 from grabnet.visual.pictures import can_render
 
@@ -30,201 +29,155 @@ _TEMPLATE = Path(__file__).with_name("page.html")
 _ARROWS = {"lower": "↓", "higher": "↑", None: ""}
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Findings:
-    """All that an evaluation found.
-
-    Attributes:
-        rows: methods, in the order of the tables. objects: meshes by name. metrics: in order.
-        figures: numbers of the tables. errors: of reconstruction.
-        surprises: sentences on rows that come out in the wrong order. failures: on simulations that failed.
-        split: of the objects.
-        record: what all was made with, ready for JSON.
-    """
-
-    rows: Sequence[Row]
-    objects: dict[str, Mesh]
-    metrics: Sequence[Metric]
-    figures: Sequence[Figure]
-    errors: Sequence[Errors]
-    surprises: Sequence[str]
-    failures: Sequence[str]
-    split: str
-    record: dict[str, Any]
-
-    def of(self, *protocols: str) -> list[Metric]:
-        """Metrics of these protocols of which anything was measured."""
-        there = {f.metric for f in self.figures}
-        return [m for m in self.metrics if m.protocol in protocols and m in there]
-
-
 def write_report(path: Path, findings: Findings, pictures: int, cache: Cache) -> None:
     """Write the page, atomically.
 
     Args:
+        path: of the page.
+        findings: what it shows.
         pictures: grasps drawn per object and row; none where this machine cannot draw.
         cache: of pictures.
     """
     reason = can_render() if pictures else "No pictures were asked for."
     sections = [
         ("At a glance", _glance(findings)),
-        ("Grasps", f"<p class=note>{escape(reason)}</p>" if reason else _pictures(findings, pictures, cache)),
-        ("Reconstruction", _reconstruction(findings)),
-        ("Closest ground truth", _table2(findings)),
-        ("Protocols of the field", _field(findings)),
-        ("Contact", _contact(findings)),
-        ("Posture, novelty, coverage", _plain_table(findings, findings.of("posture", "novelty", "coverage"))),
+        ("Grasps", _note(reason) if reason else _pictures(findings, pictures, cache)),
+        *((section.title, _section(findings, section)) for section in findings.sections),
         ("Distributions", _distributions(findings)),
         ("Definitions", _definitions(findings)),
         ("Made with", f"<pre>{escape(json.dumps(findings.record, indent=2))}</pre>"),
     ]
     sections = [(title, body) for title, body in sections if body]
     contents = "".join(f'<a href="#s{k}">{escape(title)}</a>' for k, (title, _) in enumerate(sections))
-    main = "".join(f'<section id="s{k}"><h2>{escape(t)}</h2>{body}</section>' for k, (t, body) in enumerate(sections))
+    main = "".join(
+        f'<section id="s{k}"><h2>{escape(title)}</h2>{body}</section>' for k, (title, body) in enumerate(sections)
+    )
     page = _TEMPLATE.read_text(encoding="utf-8")
-    parts = {"SUBTITLE": escape(_subtitle(findings)), "CONTENTS": contents, "MAIN": main}
-    for name, text in parts.items():
+    for name, text in {"SUBTITLE": escape(_subtitle(findings)), "CONTENTS": contents, "MAIN": main}.items():
         page = page.replace(f"<!--{name}-->", text)
     with replacing(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 
 def _subtitle(findings: Findings) -> str:
-    grasps = sum(len(hands) for row in findings.rows for hands in row.hands.values())
-    things = len(findings.objects)
+    grasps = sum(len(hands) for method in findings.methods for hands in method.hands.values())
+    n = len(findings.objects)
     return (
-        f"{grasps:,} grasps of {things} {findings.split} object{'s' * (things != 1)} by {len(findings.rows)} rows; "
+        f"{grasps:,} grasps of {n} {findings.split} object{'s' * (n != 1)} by {len(findings.methods)} rows; "
         f"made {findings.record['provenance']['made'][:10]}"
     )
 
 
 def _glance(findings: Findings) -> str:
-    chosen = [m for m in headlines(findings.metrics) if any(f.metric == m for f in findings.figures)]
+    methods, chosen = findings.methods, findings.headlines
     rows = "".join(
-        f"<dt>{_dot(k)}{escape(row.name)}</dt><dd>{escape(row.about)}</dd>" for k, row in enumerate(findings.rows)
+        f"<dt>{_dot(k)}{escape(method.name)}</dt><dd>{escape(method.about)}</dd>" for k, method in enumerate(methods)
     )
-    if findings.surprises:
+    expected = escape(expected_order(methods))
+    if findings.unexpected_order:
         order = (
-            "<div class=warning><b>Where the order of the rows does not make sense.</b> Expected is: ground truth, "
-            f"then the refined grasps, then CoarseNet's, then the naive baseline.{_list(findings.surprises)}</div>"
+            "<div class=warning><b>Where the order of the rows does not make sense.</b> Expected is: "
+            f"{expected}.{_list(findings.unexpected_order)}</div>"
         )
     else:
         order = (
-            "<div class=fine>The rows come out in the order that they should (ground truth, refined, CoarseNet, naive "
-            "baseline) wherever they differ by more than chance.</div>"
+            f"<div class=fine>The rows come out in the order that they should ({expected}) wherever they differ by "
+            "more than chance.</div>"
         )
     if findings.failures:
-        order += f"<div class=warning><b>What could not be simulated.</b>{_list(findings.failures)}</div>"
+        order += f"<div class=warning><b>What could not be measured.</b>{_list(findings.failures)}</div>"
+    plot = _image(intervals(findings.figures, methods, chosen), "values and intervals by row") if chosen else ""
+    return f"<dl class=rows>{rows}</dl>{_by_row(findings, chosen)}{order}{plot}"
+
+
+def _section(findings: Findings, section: Section) -> str:
+    """All of a section's metrics: of networks; by row; by object; by part of the hand; as reported by others."""
+    metrics = [metric for metric in findings.measured if metric.section == section]
+    whole, of_parts = [m for m in metrics if not m.part], [m for m in metrics if m.part]
+    scored = [metric for metric in findings.scored if metric.section == section]
+    scores = "".join(_scores(findings, p, list(group)) for p, group in groupby(scored, key=lambda m: m.protocol))
+    by_object = [metric for metric in findings.by_object if metric.section == section]
+    tables = "".join(_by_object(findings, metric) for metric in by_object)
+    is_open = any(metric.title in published.BY_OBJECT for metric in by_object)
+    plot = _image(parts(findings.figures, findings.methods, of_parts), "by part of the hand") if of_parts else ""
+    detail = _folded("By part of the hand, in numbers", _by_row(findings, of_parts))
     return (
-        f"<dl class=rows>{rows}</dl>{_plain_table(findings, chosen)}{order}"
-        f"{_image(intervals(findings.figures, findings.rows, chosen), 'values and intervals by row')}"
+        f"{scores}{_by_row(findings, whole)}{_folded('By object', tables, is_open)}{plot}{detail}"
+        f"{_reported(metrics)}{_note(section.note)}"
     )
 
 
-def _plain_table(findings: Findings, metrics: Sequence[Metric]) -> str:
+def _by_row(findings: Findings, metrics: Sequence[Metric]) -> str:
     """Metrics down, rows of the evaluation across; means over objects with their intervals."""
     if not metrics:
         return ""
-    head = "".join(f"<th>{_dot(k)}{escape(row.name)}</th>" for k, row in enumerate(findings.rows))
+    head = "".join(f"<th>{_dot(k)}{escape(method.name)}</th>" for k, method in enumerate(findings.methods))
     lines = [f"<tr><th class=metric>protocol / metric</th>{head}</tr>"]
     for metric in metrics:
-        cells = (find(findings.figures, metric, row.name) for row in findings.rows)
+        cells = (find(findings.figures, metric, method.name) for method in findings.methods)
         title = f"<th class=metric title='{escape(metric.about, quote=True)}'>{_titled(metric)}</th>"
         lines.append(f"<tr>{title}{''.join(_cell(e) for e in cells)}</tr>")
-    note = "Means over objects; below, the middle 95 % of bootstrap redrawings of the grasps."
-    return f"{_table(lines)}<p class=note>{note} ↓ lower is better, ↑ higher.</p>"
+    note = (
+        "Means over objects; below, the middle 95 % of bootstrap redrawings of the grasps. ↓ lower is better, ↑ higher."
+    )
+    return f"{_table(lines)}{_note(note)}"
 
 
-def _by_object(findings: Findings, metric: Metric, marks: dict[str, float] | None = None) -> str:
-    """Objects across, rows of the evaluation down; `marks` is a further row of published figures."""
-    things = [*findings.objects, ALL]
-    lines = [f"<tr><th class=metric>{_titled(metric)}</th>{''.join(f'<th>{escape(t)}</th>' for t in things)}</tr>"]
-    for k, row in enumerate(findings.rows):
-        cells = (find(findings.figures, metric, row.name, t) for t in things)
-        lines.append(f"<tr><th class=metric>{_dot(k)}{escape(row.name)}</th>{''.join(_cell(e) for e in cells)}</tr>")
-    if marks:
-        cells = "".join(f"<td>{digits(marks[t]) if t in marks else '–'}</td>" for t in things)
-        lines.append(f"<tr class=published><th class=metric>GrabNet on GRAB, as published</th>{cells}</tr>")
+def _by_object(findings: Findings, metric: Metric) -> str:
+    """Objects across, rows of the evaluation down, then published figures."""
+    names = [*findings.objects, ALL]
+    lines = [f"<tr><th class=metric>{_titled(metric)}</th>{_heads(names)}</tr>"]
+    for k, method in enumerate(findings.methods):
+        cells = "".join(_cell(find(findings.figures, metric, method.name, name)) for name in names)
+        lines.append(f"<tr><th class=metric>{_dot(k)}{escape(method.name)}</th>{cells}</tr>")
+    if marks := published.BY_OBJECT.get(metric.title):
+        lines.append(_marks(published.SOURCE, [marks.get(name) for name in names]))
     return _table(lines)
 
 
-def _table2(findings: Findings) -> str:
-    tables = [
-        _by_object(findings, metric, {thing: values[k] for thing, values in reported.TABLE2.items()})
-        for k, metric in enumerate(findings.of("table2"))
-    ]
-    note = (
-        "Ground truth is compared with the ground truth of other recordings. The published figures are of other grasps "
-        "and other object meshes."
-    )
-    return f"{''.join(tables)}<p class=note>{note}</p>" if tables else ""
+def _scores(findings: Findings, protocol: str, metrics: Sequence[Metric]) -> str:
+    """A protocol's metrics of networks: by split, and by object of the evaluation's split."""
+    scores = findings.scores[protocol]
+    by_place = {(s.network, s.split, s.object): s for s in scores}
+    networks = list(dict.fromkeys(s.network for s in scores))
+    splits = [split for split in SPLITS if any(s.split == split for s in scores)]
+    lines = [f"<tr><th class=metric>{escape(protocol)} / metric</th>{_heads(splits)}</tr>"]
+    for network in networks:
+        for metric in metrics:
+            values = (by_place[network, split, ALL].values[metric.name] for split in splits)
+            lines.append(_marks(f"{network}, {metric.label}", values, kind=""))
+            if marks := published.OF_NETWORKS.get(metric.title, {}).get(network):
+                lines.append(_marks(f"{network}, {metric.name}: {published.SOURCE}", map(marks.get, splits)))
+    objects = [name for name in findings.objects if (networks[0], findings.split, name) in by_place]
+    by_object = [f"<tr><th class=metric>{escape(protocol)}, {findings.split}</th>{_heads(objects)}</tr>"]
+    for network in networks:
+        for metric in metrics:
+            values = (by_place[network, findings.split, name].values[metric.name] for name in objects)
+            by_object.append(_marks(f"{network}, {metric.label}", values, kind=""))
+    frames = ", ".join(f"{by_place[networks[0], split, ALL].n:,} {split}" for split in splits)
+    return f"{_table(lines)}{_table(by_object)}{_note(f'All frames: {frames}.')}"
 
 
-def _reconstruction(findings: Findings) -> str:
-    if not findings.errors:
+def _reported(metrics: Sequence[Metric]) -> str:
+    """Those of the metrics that other works report."""
+    columns = [m for m in metrics if any(m.title in marks for marks in published.BY_OTHERS.values())]
+    if not columns:
         return ""
-    head = "".join(f"<th>{s}</th>" for s in SPLITS)
-    lines = [f"<tr><th class=metric>reconstruction / metric</th>{head}</tr>"]
-    totals = {(e.network, e.split): e for e in findings.errors if e.object == ALL}
-    for network in dict.fromkeys(e.network for e in findings.errors):
-        for name in ("v2v", "v2v_mae"):
-            cells = "".join(f"<td>{digits(getattr(totals[network, s], name))}</td>" for s in SPLITS)
-            lines.append(f"<tr><th class=metric>{network} <b>{name}</b> [mm] ↓</th>{cells}</tr>")
-        cells = "".join(f"<td>{digits(v)}</td>" for v in reported.RECONSTRUCTION[network])
-        lines.append(f"<tr class=published><th class=metric>{network} v2v_mae on GRAB, as published</th>{cells}</tr>")
-    frames = ", ".join(f"{totals[findings.errors[0].network, s].n:,} {s}" for s in SPLITS)
-    objects = list(findings.objects)
-    per_object = {(e.network, e.object): e for e in findings.errors if e.split == findings.split}
-    head = "".join(f"<th>{escape(o)}</th>" for o in objects)
-    by_object = [f"<tr><th class=metric>{findings.split}, v2v [mm] ↓</th>{head}</tr>"]
-    for network in dict.fromkeys(e.network for e in findings.errors):
-        cells = "".join(f"<td>{digits(per_object[network, o].v2v)}</td>" for o in objects)
-        by_object.append(f"<tr><th class=metric>{network}</th>{cells}</tr>")
-    note = (
-        f"All frames: {frames}. CoarseNet reconstructs from its posterior's mean, RefineNet from disturbed true "
-        "grasps. v2v is the mean Euclidean distance of vertices, v2v_mae the mean |Δ| per coordinate, which is what "
-        "was published."
-    )
-    return f"{_table(lines)}{_table(by_object)}<p class=note>{note}</p>"
-
-
-def _field(findings: Findings) -> str:
-    protocols = ("halo", "grasptta", "shake", "penetration", "diversity")
-    summary = _plain_table(findings, findings.of(*protocols))
-    each = "".join(
-        _by_object(findings, metric)
-        for metric in findings.of("halo", "grasptta", "shake")
-        if metric.name not in ("contact", "failed")  # what failed is told in words
-    )
-    head = "".join(f"<th>{h}</th>" for h in ("volume [cm³]", "contact [%]", "displacement [cm]", "cluster size [cm]"))
-    lines = [f"<tr><th class=metric>reported by others</th>{head}</tr>"]
-    for name, values in reported.FIELD.items():
-        cells = "".join(f"<td>{'–' if v is None else digits(v)}</td>" for v in values)
-        lines.append(f"<tr class=published><th class=metric>{name}</th>{cells}</tr>")
-    note = "Other data, and protocols that differ three- to five-fold in their outcome: rough marks only."
-    return f"{summary}<details><summary>By object</summary>{each}</details>{_table(lines)}<p class=note>{note}</p>"
-
-
-def _contact(findings: Findings) -> str:
-    chosen = [m for m in findings.of("contact") if m.name in ("area", "fingers", "pinched")]
-    detail = [m for m in findings.of("contact") if m.name.partition("_")[2] in PARTS]
-    plot = _image(fingers(findings.figures, findings.rows, findings.metrics), "contact by finger") if detail else ""
-    table = (
-        f"<details><summary>By finger, in numbers</summary>{_plain_table(findings, detail)}</details>" if detail else ""
-    )
-    return f"{_plain_table(findings, chosen)}{plot}{table}"
+    names = [f"{m.name} [{m.unit}]" for m in columns]
+    lines = [f"<tr><th class=metric>reported by others</th>{_heads(names)}</tr>"]
+    lines += [_marks(work, [marks.get(m.title) for m in columns]) for work, marks in published.BY_OTHERS.items()]
+    return _table(lines)
 
 
 def _distributions(findings: Findings) -> str:
-    titles = ("table2/vertices", "penetration/max", "halo/volume", "novelty/distance")
-    chosen = [m for m in findings.of(*(t.partition("/")[0] for t in titles)) if m.title in titles]
+    chosen = [metric for metric in findings.measured if metric.distribution]
     if not chosen:
         return ""
-    return _image(distributions(findings.rows, chosen, list(findings.objects)), "cumulative distributions")
+    return _image(distributions(findings.methods, chosen, list(findings.objects)), "cumulative distributions")
 
 
 def _definitions(findings: Findings) -> str:
-    there = {f.metric for f in findings.figures}
+    there = {*findings.measured, *findings.scored}
     lines = ["<tr><th class=metric>protocol / metric</th><th class=text>definition</th><th>grasps per object</th></tr>"]
     for m in findings.metrics:
         if m in there:
@@ -239,26 +192,28 @@ def _pictures(findings: Findings, n: int, cache: Cache) -> str:
     cards = []
     for name, mesh in findings.objects.items():
         lines = []
-        for k, row in enumerate(findings.rows):
-            if name not in row.hands:
+        for k, method in enumerate(findings.methods):
+            if name not in method.hands:
                 continue
-            hands, found = row.hands[name], row.results[name]
-            touched = found["maps"]["object"] > 0
-            figures = []
-            for i in range(min(n, len(hands))):
-                depth, count = found["penetration"]["max"][i], found["contact"]["fingers"][i]
-                caption = f"{depth:.1f} mm deep" + (f", {count:.0f} fingers" if np.isfinite(count) else "")
-                figures.append(_figure(grasp_view(mesh, hands, i, touched[i], cache), caption))
-            share = touched.mean(0)
-            caption = f"touched by up to {100 * share.max():.0f} % of {len(hands)}"
+            hands, red = method.hands[name], findings.highlighted(method, name)
+            figures = [
+                _figure(grasp_view(mesh, hands, i, red[i], cache), _caption(findings.metrics, method, name, i))
+                for i in range(min(n, len(hands)))
+            ]
+            share = red.mean(0)
+            caption = f"red in up to {100 * share.max():.0f} % of {len(hands)}"
             figures.append(_figure(heat_view(mesh, share / max(share.max(), 1e-9), cache), caption))
-            lines.append(f"<h4>{_dot(k)}{escape(row.name)}</h4><div class=strip>{''.join(figures)}</div>")
-        cards.append(
-            f"<details{' open' if not cards else ''}><summary>{escape(name)}</summary>{''.join(lines)}</details>"
-        )
-    note = "The first grasps of each row, as they came. Red: contact, annotated as in the data set (paper S.7). Right: "
-    note += "how often each place is touched, over all grasps, red where most often."
-    return f"<p class=note>{note}</p>{''.join(cards)}"
+            lines.append(f"<h4>{_dot(k)}{escape(method.name)}</h4><div class=strip>{''.join(figures)}</div>")
+        cards.append(_folded(escape(name), "".join(lines), is_open=not cards))
+    note = "The first grasps of each row, as they came."
+    if findings.highlight is not None:
+        note += f" {findings.highlight.legend} Right: how often over all grasps, red where most often."
+    return f"{_note(note)}{''.join(cards)}"
+
+
+def _caption(metrics: Sequence[Metric], method: Method, object_name: str, i: int) -> str:
+    values = ((m, method.results[object_name].get(m.title, ())) for m in metrics if m.caption)
+    return ", ".join(m.caption.format(v[i] * m.scale) for m, v in values if i < len(v) and np.isfinite(v[i]))
 
 
 def _titled(metric: Metric) -> str:
@@ -266,11 +221,29 @@ def _titled(metric: Metric) -> str:
     return f"<span class=protocol>{escape(metric.protocol)}</span> {escape(metric.name)}{unit} {_ARROWS[metric.better]}"
 
 
-def _cell(estimate: Any) -> str:
+def _cell(estimate: Estimate | None) -> str:
     if estimate is None:
         return "<td>–</td>"
     low, high = estimate.interval
     return f"<td>{digits(estimate.value)}<small>{digits(low)} … {digits(high)}</small></td>"
+
+
+def _marks(title: str, values: Iterable[float | None], kind: str = " class=published") -> str:
+    """A line of numbers without intervals."""
+    cells = "".join(f"<td>{'–' if value is None else digits(value)}</td>" for value in values)
+    return f"<tr{kind}><th class=metric>{escape(title)}</th>{cells}</tr>"
+
+
+def _heads(names: Iterable[str]) -> str:
+    return "".join(f"<th>{escape(name)}</th>" for name in names)
+
+
+def _note(text: str) -> str:
+    return f"<p class=note>{escape(text)}</p>" if text else ""
+
+
+def _folded(summary: str, body: str, is_open: bool = False) -> str:
+    return f"<details{' open' * is_open}><summary>{summary}</summary>{body}</details>" if body else ""
 
 
 def _list(sentences: Iterable[str]) -> str:

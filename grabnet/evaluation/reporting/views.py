@@ -8,8 +8,8 @@ import numpy as np
 from PIL import Image
 
 from grabnet.evaluation.cache import Cache
+from grabnet.evaluation.colours import blended
 from grabnet.evaluation.hands import Hands
-from grabnet.evaluation.protocols.contact_maps import blended
 from grabnet.geometry.mesh import Mesh
 from grabnet.visual.pictures import OBJECT, SKIN, Shape, render
 
@@ -18,7 +18,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 
 def grasp_view(mesh: Mesh, hands: Hands, index: int, touched: np.ndarray, cache: Cache) -> bytes:
-    """A JPEG of one grasp from beside the hand, somewhat from above; the object is red where `touched` (V,)."""
+    """Return a JPEG of one grasp from beside the hand, somewhat from above; the object is red where `touched` (V,)."""
     vertices = hands.vertices[index]
     reach = vertices.mean(0) - mesh.centroid
     side = np.cross(_UP, reach)
@@ -30,7 +30,7 @@ def grasp_view(mesh: Mesh, hands: Hands, index: int, touched: np.ndarray, cache:
 
 
 def heat_view(mesh: Mesh, share: np.ndarray, cache: Cache) -> bytes:
-    """A JPEG of the object, the redder the larger the share (V,) of grasps that touch there."""
+    """Return a JPEG of the object, the redder the larger the share (V,) of grasps that touch there."""
     return _drawn([Shape(mesh.vertices, mesh.faces, blended(OBJECT, share))], np.array([-0.45, -1.0, 0.45]), cache)
 
 

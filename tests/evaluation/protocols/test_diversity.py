@@ -1,7 +1,9 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from grabnet.evaluation.protocols.diversity import cluster, entropy, novelty, reached
+from grabnet.evaluation.protocols.diversity import Diversity, cluster, novelty, reached
 
 
 def bunches(sizes: list[int], spread: float, seed: int = 0) -> np.ndarray:
@@ -14,21 +16,28 @@ def bunches(sizes: list[int], spread: float, seed: int = 0) -> np.ndarray:
     return points.reshape(-1, 21, 3)
 
 
+def diversity(*points: np.ndarray | None) -> dict:
+    """Of hands of several objects, given by their keypoints."""
+    labels = SimpleNamespace(keypoints=lambda hands: hands)
+    return Diversity(labels, draws=50, seed=0)(SimpleNamespace(hands=dict(enumerate(points))))
+
+
 def test_clusters_of_known_entropy():
     sizes = [10] * 10 + [30] * 10
-    found = cluster(bunches(sizes, 0.001), seed=0)
+    points = bunches(sizes, 0.001)
+    found = diversity(points[:150], points[150:])
     share = np.array(sizes) / sum(sizes)
-    assert found.entropy == pytest.approx(-(share * np.log(share)).sum())
-    assert sorted(np.bincount(found.label)) == sizes
+    assert found["entropy"].value == pytest.approx(-(share * np.log(share)).sum())
+    assert found["entropy"].interval[0] < found["entropy"].value < found["entropy"].interval[1]
     # Of points at one distance from where they were thrown around, the mean is near that, and so is theirs to it.
-    assert found.distance.mean() == pytest.approx(0.1, rel=0.1)
+    assert found["cluster_size"].value == pytest.approx(0.1, rel=0.1)
+    assert sorted(np.bincount(cluster(points, seed=0).label)) == sizes
 
 
-def test_even_clusters_have_the_most_entropy_and_equal_hands_none():
-    even = cluster(bunches([6] * 20, 0.001), seed=0)
-    assert even.entropy == pytest.approx(np.log(20))
-    assert entropy(np.array([0, 7, 0])) == 0
-    assert cluster(bunches([1] * 19, 0.0), seed=0) is None
+def test_even_clusters_have_the_most_entropy_and_few_hands_none():
+    assert diversity(bunches([6] * 20, 0.001))["entropy"].value == pytest.approx(np.log(20))
+    assert diversity(bunches([1] * 19, 0.0)) == {}
+    assert diversity(bunches([6] * 20, 0.001), None) == {}
 
 
 def test_the_same_seed_gives_the_same_clusters():

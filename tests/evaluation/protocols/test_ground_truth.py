@@ -4,14 +4,8 @@ import pytest
 from grabnet.data.frames import FramesStore
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.evaluation.hands import Hands
-from grabnet.evaluation.protocols.ground_truth import (
-    ClosestHand,
-    closest_map_error,
-    ground_truth_row,
-    held_out,
-    recorded_hands,
-    same_sequence,
-)
+from grabnet.evaluation.protocols.ground_truth import ClosestHand, closest_map_error
+from grabnet.evaluation.recorded import ground_truth_sample, held_out, recorded_hands, same_sequence
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from tests.evaluation.shapes import ball, scene
@@ -33,7 +27,7 @@ def brute_force(hand: np.ndarray, others: np.ndarray) -> float:
 
 def test_the_closest_hand_vertex_by_vertex():
     reference, made = random_hands(0, 6, [0, 0, 1, 1, 2, 2]), random_hands(1, 4)
-    found = ClosestHand(reference)(scene(ball(1), made))
+    found = ClosestHand()(scene(ball(1), made, reference))
     expected = [100 * brute_force(hand, reference.vertices) for hand in made.vertices]
     np.testing.assert_allclose(found["vertices"], expected, rtol=1e-6)
     outside = reference.vertices[[2, 3]]
@@ -43,28 +37,28 @@ def test_the_closest_hand_vertex_by_vertex():
 
 def test_ground_truth_is_compared_with_other_recordings():
     reference = random_hands(0, 6, [0, 0, 1, 1, 2, 2])
-    found = ClosestHand(reference)(scene(ball(1), reference))["vertices"]
+    found = ClosestHand()(scene(ball(1), reference, reference))["vertices"]
     for i, sequence in enumerate(reference.sequences):
         others = reference.vertices[reference.sequences != sequence]
         assert found[i] == pytest.approx(100 * brute_force(reference.vertices[i], others), rel=1e-6)
     alone = random_hands(0, 3, [5, 5, 5])
-    assert np.isnan(ClosestHand(alone)(scene(ball(1), alone))["vertices"]).all()
+    assert np.isnan(ClosestHand()(scene(ball(1), alone, alone))["vertices"]).all()
 
 
 def test_hands_of_other_vertices_have_no_closest_hand():
     other = Hands(vertices=np.zeros((2, 8, 3), np.float32), faces=TRIANGLE)
-    assert np.isnan(ClosestHand(random_hands(0, 4, [0, 0, 1, 1]))(scene(ball(1), other))["vertices"]).all()
+    assert np.isnan(ClosestHand()(scene(ball(1), other, random_hands(0, 4, [0, 0, 1, 1])))["vertices"]).all()
 
 
 def test_the_row_of_ground_truth_shares_no_recording_with_what_is_held_out():
     reference = random_hands(0, 12, [0, 0, 0, 1, 1, 1, 4, 4, 4, 7, 7, 7])
     kept = set(reference.sequences[held_out(reference)])
-    row = ground_truth_row(reference, 4, 0)
+    row = ground_truth_sample(reference, 4, 0)
     assert kept == {1, 7}
     assert len(row) == 4
     assert not kept & set(row.sequences)
-    assert len(ground_truth_row(reference, 100, 0)) == 6
-    np.testing.assert_array_equal(ground_truth_row(reference, 100, 0).vertices[:4], row.vertices)
+    assert len(ground_truth_sample(reference, 100, 0)) == 6
+    np.testing.assert_array_equal(ground_truth_sample(reference, 100, 0).vertices[:4], row.vertices)
 
 
 def test_map_errors_by_hand():

@@ -1,4 +1,4 @@
-"""What to evaluate: the values of `configs/evaluate.yaml`."""
+"""Settings of an evaluation: the values of `configs/evaluate.yaml`."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from grabnet.cli.checks import at_least, one_of
 from grabnet.data.datamodule import SPLITS
 from grabnet.errors import UserError
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """What to evaluate; the values of `configs/evaluate.yaml`, which explains them. data, hand_model, source and
-    physics are configs of what their groups make.
+class EvaluationConfig:
+    """The values of `configs/evaluate.yaml`, which explains them.
+
+    data, hand_model, source and physics are configs of what their groups make.
 
     Raises:
         UserError: a value out of range.
@@ -47,19 +49,14 @@ class Evaluation:
     physics: dict[str, Any]
 
     def __post_init__(self):
-        least = dict.fromkeys(("n", "halo_samples", "vertex_samples", "contact_samples", "processes"), 1)
-        for name, bound in (
-            least | {"max_ground_truth": 2, "draws": 2, "seed": 0, "simulated": 0, "pictures": 0, "scenes": 0}
-        ).items():
-            if getattr(self, name) < bound:
-                raise UserError(f"{name} is {getattr(self, name)}; it must be at least {bound}.")
-        if self.split not in SPLITS:
-            raise UserError(f"split is '{self.split}'; it can be {', '.join(SPLITS)}.")
+        at_least(self, n=1, halo_samples=1, vertex_samples=1, contact_samples=1, processes=1)
+        at_least(self, max_ground_truth=2, draws=2, seed=0, simulated=0, pictures=0, scenes=0)
+        one_of(self, split=SPLITS)
         if not self.contact_distance > 0:
             raise UserError(f"contact_distance is {self.contact_distance}; it must be positive, in metres.")
 
     @property
     def folders(self) -> list[Path]:
-        """Of grasps made elsewhere."""
+        """Folders of grasps made by other methods."""
         named = [self.grasps] if isinstance(self.grasps, str) else self.grasps or []
         return [Path(name).expanduser() for name in named]
