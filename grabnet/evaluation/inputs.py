@@ -11,7 +11,6 @@ from hydra.utils import instantiate
 
 from grabnet.body.hand import HandModel
 from grabnet.data.datamodule import GraspDataModule
-from grabnet.data.frames import FramesStore
 from grabnet.data.objects import object_files
 from grabnet.errors import UserError
 from grabnet.evaluation.cache import Cache
@@ -31,6 +30,7 @@ class Material:
 
     Attributes:
         hand, labels: the hand model, and what its vertices are. data: the module, not set up. store: its frames.
+        part, training_part: the store with the frames of the evaluated split, and of training, only.
         files: of all objects' meshes, by name. cache: of results.
         objects: names of those that are evaluated; meshes and truth: theirs, by name.
 
@@ -44,23 +44,20 @@ class Material:
         self.labels = HandLabels.of(self.hand)
         self.data: GraspDataModule = instantiate(wanted.data, hand=self.hand)
         self.data.prepare_data()
-        self.store = FramesStore.load(self.data.store_dir)
+        self.store = self.data.store
+        self.part = self.data.part(wanted.split)
+        self.training_part = self.data.part("train")
         self.files = object_files(self.data.objects_dir)
         self.cache = Cache(Path(wanted.cache_dir or default_cache()) / "evaluation")
         self.objects = self._objects()
         self.meshes: dict[str, Mesh] = {name: load_mesh(self.files[name]) for name in self.objects}
         self.truth: dict[str, Hands] = {
-            name: recorded_hands(self.store, self.hand, name, mesh, wanted.max_ground_truth)
+            name: recorded_hands(self.part, self.hand, name, mesh, wanted.max_ground_truth)
             for name, mesh in self.meshes.items()
         }
 
-    @cached_property
-    def recorded_objects(self) -> list[str]:
-        """Names of the objects with any grasp."""
-        return [self.store.objects[k] for k in self.store.frames.object.unique().tolist()]
-
     def _objects(self) -> list[str]:
-        objects = self.data.objects_of(self.wanted.split, self.recorded_objects)
+        objects = self.part.shown_objects
         if unknown := [name for name in self.wanted.only or [] if name not in objects]:
             raise UserError(f"only names {unknown[0]}; the {self.wanted.split} objects are {', '.join(objects)}.")
         objects = self.wanted.only or objects
@@ -73,7 +70,7 @@ class Material:
     @cached_property
     def training_objects(self) -> list[str]:
         """Names of those with a mesh, without the objects that are evaluated."""
-        names = self.data.objects_of("train", self.recorded_objects)
+        names = self.training_part.shown_objects
         return [name for name in names if name in self.files and name not in self.objects]
 
     @cached_property
@@ -81,8 +78,8 @@ class Material:
         """Of all frames, whom they show and how they are split, of the objects and the hand."""
         values = (getattr(self.store.frames, name) for name in self.store.frames.__dataclass_fields__)
         frames = [value.numpy() for value in values if value is not None]
-        names = [*self.store.objects, "|", *sorted(self.data.val_objects), "|"]
-        names += sorted(self.data.test_objects)
+        split = self.data.split
+        names = [*self.store.objects, "|", split.by, *sorted(split.val), "|", *sorted(split.test)]
         meshes = [sha256(self.files[name]) for name in self.store.objects if name in self.files]
         hand = [self.hand.v_template.numpy(), self.hand.weights.numpy()]
         return [sha256(*frames), sha256(self.store.v_template.numpy()), sha256(*hand), *names, *meshes]
@@ -95,8 +92,8 @@ class Material:
         mesh = load_mesh(self.files[min(self.files)])
 
         def find() -> dict[str, np.ndarray]:
-            names = self.data.objects_of("train", self.recorded_objects)
-            hands = [recorded_hands(self.store, self.hand, name, mesh) for name in names]
+            part = self.training_part
+            hands = [recorded_hands(part, self.hand, name, mesh) for name in part.shown_objects]
             return {"keypoints": np.concatenate([self.labels.keypoints(h) for h in hands])}
 
         return self.cache.get("keypoints", [*self.fingerprint, mesh.sha256], find)["keypoints"]

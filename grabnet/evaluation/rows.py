@@ -41,7 +41,7 @@ def _baseline(material: Material) -> Row:
     for name, mesh in material.meshes.items():
         found = lookalike(mesh, files, material.cache)
         origin = load_mesh(files[found.number])
-        hands = recorded_hands(material.store, material.hand, names[found.number], origin)
+        hands = recorded_hands(material.training_part, material.hand, names[found.number], origin)
         chosen = np.random.default_rng([material.wanted.seed, 3]).permutation(len(hands))[: material.wanted.n]
         row.hands[name] = transplanted(hands.select(chosen), origin, mesh, found.turn)
         print(f"{row.name}: {name} is grasped like {names[found.number]}")

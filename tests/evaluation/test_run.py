@@ -43,7 +43,7 @@ def call(runs, tiny_dataset, cache_dir, tmp_path_factory):
         output = output or tmp_path_factory.mktemp("evaluation")
         few = ["n=4", "halo_samples=3", "draws=50", "pictures=0", "scenes=1", "processes=1", "reconstruction=false"]
         few.append("simulated=0")
-        data = [f"data.root={tiny_dataset}", "data.val_objects=[can]", "data.test_objects=[ring]"]
+        data = [f"data.root={tiny_dataset}", "data.split.val=[can]", "data.split.test=[ring]"]
         places = [f"runs={runs}", f"cache_dir={cache_dir}", f"data.cache_dir={cache_dir}", f"output={output}"]
         cfg = compose("evaluate", ["data=frames", *data, "data.near_points=32", *few, *places, *overrides])
         try:
@@ -195,8 +195,8 @@ def test_reconstruction_is_what_a_training_run_tells(folder, runs, tiny_dataset,
             f"data.root={tiny_dataset}",
             "data.near_points=32",
             f"data.cache_dir={cache_dir}",
-            "data.val_objects=[can]",
-            "data.test_objects=[ring]",
+            "data.split.val=[can]",
+            "data.split.test=[ring]",
         ],
     )
     data: GraspDataModule = instantiate(cfg.data, hand=HandModel.open())
@@ -274,7 +274,7 @@ def test_an_object_that_cannot_be_cut_is_told_and_the_rest_goes_on(call, made, c
     """CoACD has a second: enough for the can, which is convex, and not for the ring."""
     shutil.copytree(made / "parameters" / "ring", made / "parameters" / "can")
     endless = [f"physics.decomposition.{name}" for name in ("time_limit=2", "nodes=50", "iterations=100000")]
-    objects = ["data.test_objects=[ring,can]", "data.val_objects=[]"]
+    objects = ["data.split.test=[ring,can]", "data.split.val=[]"]
     output = call(f"grasps={made / 'parameters'}", "simulated=2", *endless, *objects)
     found = results(output)
     (told,) = found["failed_simulations"]
