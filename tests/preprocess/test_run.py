@@ -9,6 +9,8 @@ import os
 import random
 import shutil
 import signal
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -40,7 +42,7 @@ from tests.preprocess.tiny_grab import (
     make,
     overrides,
 )  # fmt: skip
-from tests.processes import finish
+from tests.processes import ROOT, finish
 from tests.tiny import tiny_overrides
 
 SCRIPT = "scripts/preprocess.py"
@@ -224,6 +226,33 @@ def test_what_the_left_hand_holds_arrives_as_if_the_right_one_held_it(own_grab, 
     # What is held out stays held out in the mirror.
     data = GraspDataModule(HandModel.open(), str(tmp_path / "data"), Split("object", ["ball"], ["mug"]))
     assert len(data._members("val")) == N_LIFTED and not len(data._members("train"))
+
+
+def test_a_store_is_continued_by_code_whose_comments_have_changed(grab, made, tmp_path, cache_dir):
+    """By the same command from a copy of the repository, in which every module ends in another comment."""
+    for name in ("grabnet", "scripts", "hydra_plugins"):
+        shutil.copytree(ROOT / name, tmp_path / "copy" / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("assets", "configs"):
+        (tmp_path / "copy" / name).symlink_to(ROOT / name)
+    for path in (tmp_path / "copy/grabnet").rglob("*.py"):
+        path.write_text(path.read_text() + "# Another comment.\n")
+    output = tmp_path / "data"
+    shutil.copytree(made, output)
+    (output / "frames/store.json").unlink()
+    (output / "frames/shards/s1/ball_lift_1.safetensors").unlink()
+    command = [sys.executable, tmp_path / "copy" / SCRIPT, *overrides(*grab, output, cache_dir)]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path / "copy")}
+    ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert data_set(output) == data_set(made)
+    assert json.loads((output / "run.json").read_text())["recordings"] == 1
+
+
+def test_a_store_of_another_format_is_refused(made, grab, tmp_path, cache_dir, monkeypatch):
+    shutil.copytree(made, tmp_path / "data")
+    monkeypatch.setattr("grabnet.preprocess.run.FORMAT", 0)
+    with pytest.raises(UserError, match=r"frames was started with format=\d, now it is 0: delete"):
+        make(grab, tmp_path / "data", cache_dir)
 
 
 @pytest.mark.parametrize("changed", ["settings", "recording", "removed", "foreign", "at work"])
