@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from grabnet.data.sequences import RigidTrack
@@ -16,7 +18,7 @@ def gap_to_table(thing: RigidTrack, mesh: Mesh, table: RigidTrack, table_mesh: M
     return _extreme(thing, mesh, np.min) - _extreme(table, table_mesh, np.max)
 
 
-def _extreme(track: RigidTrack, mesh: Mesh, extreme: type(np.min)) -> np.ndarray:
+def _extreme(track: RigidTrack, mesh: Mesh, extreme: Callable[[np.ndarray], float]) -> np.ndarray:
     """(T,) lowest or highest coordinate along z of the moving vertices."""
     vertical = track.rotations()[:, 2].numpy()  # what each axis of the mesh adds to the height
     heights = [extreme(mesh.vertices @ direction) for direction in vertical]
