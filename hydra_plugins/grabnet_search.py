@@ -7,6 +7,7 @@ from typing import Any
 from hydra.core.override_parser.types import IntervalSweep, Override
 
 from grabnet.errors import UserError
+from grabnet.io.recipes import claim
 from grabnet.sweeps.runs import DONE, PRUNED, Run
 from grabnet.sweeps.sweeper import RunSweeper, fixed
 
@@ -65,7 +66,8 @@ class SearchSweeper(RunSweeper):
         """The study in the sweep's folder, begun where there is none."""
         optuna = _optuna()
         optuna.logging.set_verbosity(optuna.logging.WARNING)
-        self.folder.mkdir(parents=True, exist_ok=True)
+        settings = {key: value for key, _, value in (line.partition("=") for line in lines) if key != "sweep_dir"}
+        claim(self.folder / "recipe.json", settings, "give the same, or another sweep_dir")
         file = optuna.storages.journal.JournalFileBackend(str(self.folder / STUDY))
         study = optuna.create_study(
             storage=optuna.storages.JournalStorage(file), study_name="search", load_if_exists=True
@@ -74,13 +76,6 @@ class SearchSweeper(RunSweeper):
         study.sampler = optuna.samplers.TPESampler(
             seed=self.seed + len(study.trials), n_startup_trials=self.n_startup, multivariate=True, constant_liar=True
         )
-        told = sorted(line for line in lines if not line.startswith("sweep_dir="))
-        if study.user_attrs.setdefault("overrides", told) != told:
-            raise UserError(
-                f"The search in {self.folder} was begun with {' '.join(study.user_attrs['overrides'])}: give the same, "
-                f"or another sweep_dir."
-            )
-        study.set_user_attr("overrides", told)
         return study
 
     def _check_space(self, study: Any, space: dict[str, Any]) -> None:

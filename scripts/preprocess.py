@@ -1,4 +1,4 @@
-"""From recordings to training frames: python scripts/preprocess.py data=open | data=grab grab.root=… models.root=…;
+"""From recordings to training frames: python scripts/preprocess.py data=open | data=grab data.root=… data.models=…;
 all values are in configs/preprocess/."""
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from omegaconf import DictConfig
 from grabnet.cli.entry import hydra_entry
 from grabnet.cli.quoting import quoted
 
-PATHS = ("open.root", "grab.root", "models.root", "output", "cache_dir")
+PATHS = ("data.root", "data.models", "output", "cache_dir")
 
 
 @hydra_entry("preprocess/preprocess")
 def main(cfg: DictConfig) -> None:
-    from grabnet.preprocess.pipeline import preprocess
+    from grabnet.preprocess.run import run
 
-    sys.exit(preprocess(instantiate(cfg, _convert_="all")))
+    sys.exit(run(instantiate(cfg, _convert_="all")))
 
 
 if __name__ == "__main__":

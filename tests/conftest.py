@@ -48,7 +48,7 @@ def write_tiny_dataset(root: Path, frames_per_sequence: int = 24, subjects: int 
                 "frame": torch.arange(frames_per_sequence),
             }
             write_shard(root / "frames", f"{subject}/{name}_lift_1", subject, name, values, intent="lift")
-    finish_store(root / "frames", v_template, TINY_OBJECTS, {"source": "random hands around primitives"})
+    finish_store(root / "frames", hand.fingerprint, v_template, TINY_OBJECTS, {"source": "random hands and primitives"})
     return root
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(
-    ["grabnet.training.run", "grabnet.sweeps.report", "grabnet.sweeps.pruning", "grabnet.preprocess.pipeline"]
+    ["grabnet.training.run", "grabnet.sweeps.report", "grabnet.sweeps.pruning", "grabnet.preprocess.run"]
 )
 
 

@@ -2,6 +2,7 @@ import torch
 
 from grabnet.body.hand import HandParameters
 from grabnet.data.datamodule import GraspDataModule
+from grabnet.data.splits import Split
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.rotations import random_rotations
 from grabnet.models.coarsenet import CoarseNet
@@ -20,7 +21,9 @@ def test_hands_and_what_they_are_compared_with_are_exact_whatever_the_precision(
     def measured(precision: str) -> tuple[torch.Tensor, ...]:
         torch.set_float32_matmul_precision(precision)
         try:
-            data = GraspDataModule(hand, str(tiny_dataset), ["can"], ["ring"], cache_dir=str(cache_dir))
+            data = GraspDataModule(
+                hand, str(tiny_dataset), Split("object", ["can"], ["ring"]), cache_dir=str(cache_dir)
+            )
             data.setup()
             torch.manual_seed(0)
             batch = data.assemble("train", torch.arange(40), turn=True)

@@ -26,7 +26,7 @@ from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import BodyTrack, ContactTrack, HandTrack, RigidTrack, Sequence, write_sequence
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.mesh import Mesh, save_mesh
-from grabnet.preprocess.pipeline import Preprocessing
+from grabnet.preprocess.run import PreprocessConfig, preprocess
 
 # As long as GRAB's are on average, of a body like SMPL-X's.
 N_FRAMES, N_BODY = 1200, 10_475
@@ -52,9 +52,9 @@ def cases(settings: Benchmark) -> list[Case]:
     numbers = count()
 
     def run(workers: int) -> Path:
-        wanted = _preprocessing(folder, folder / f"output{next(numbers)}", workers)
-        wanted.run()
-        return wanted.root
+        config = _config(folder, folder / f"output{next(numbers)}", workers)
+        preprocess(config)
+        return config.root
 
     trial = run(2)
     frames, peak = len(FramesStore.load(trial / "frames").frames), _peak_mb(trial)
@@ -81,11 +81,11 @@ def cases(settings: Benchmark) -> list[Case]:
     ]
 
 
-def _preprocessing(recordings: Path, output: Path, workers: int) -> Preprocessing:
+def _config(recordings: Path, output: Path, workers: int) -> PreprocessConfig:
     values = {
         "data": "grab",
-        "grab.root": recordings,
-        "models.root": OPEN_HANDS,
+        "data.root": recordings,
+        "data.models": OPEN_HANDS,
         "output": output,
         "cache_dir": recordings / "cache",
         "workers": workers,
@@ -138,7 +138,8 @@ def _write_many(root: Path, store: Path) -> None:
         chosen = frames.select(part)
         values = {n: getattr(chosen, n) for n in ("global_orient", "hand_pose", "transl", "object_orient", "frame")}
         write_shard(root, f"s1/torus_lift_{k}", "s1", "torus", values)
-    finish_store(root, {"s1": HandModel.open().v_template}, ["torus"], {})
+    hand = HandModel.open()
+    finish_store(root, hand.fingerprint, {"s1": hand.v_template}, ["torus"], {})
 
 
 def _write_published(path: Path) -> None:

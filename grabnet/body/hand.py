@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from grabnet.body.loading import HAND_SHAPES
 from grabnet.body.skinned import SkinnedModel, blended
+from grabnet.io.files import sha256
 from grabnet.io.shipped import shipped
 
 OPEN_HANDS = shipped("assets") / "open_hand"
@@ -69,6 +71,16 @@ class HandModel(SkinnedModel):
     def open(cls, side: str = "right", dtype: torch.dtype = torch.float32) -> HandModel:
         """The open stand-in shipped with the package (CC0, from MakeHuman); `side` is right or left."""
         return cls(OPEN_HANDS / f"MANO_{side.upper()}.npz", dtype)
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of all that gives a pose its meaning: template, joints, their parents, weights, pose correctives.
+
+        The same for the same model in `.npz` or `.pkl`, in either precision and on any device.
+        """
+        values = [self.v_template, self.J_regressor, self.weights]
+        values += [self.posedirs] if self.has_pose_correctives else []
+        return sha256(*(value.float().cpu().numpy() for value in values), np.array(self.parents, np.int64))
 
     def shaped(self, betas: Tensor, v_template: Tensor | None = None) -> Tensor:
         """Rest vertices (..., V, 3) of shapes `betas` (..., n) with n up to the model's number of betas."""

@@ -18,7 +18,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException, InstantiationException, MissingConfigException
 from hydra.types import RunMode
-from omegaconf import DictConfig, open_dict
+from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from grabnet.cli.checking import check
@@ -28,6 +28,8 @@ from grabnet.io.shipped import shipped
 log = logging.getLogger(__name__)
 
 CONFIGS = shipped("configs")
+# ${shipped:configs} in a config: the folder that it lies in.
+OmegaConf.register_new_resolver("shipped", lambda name: str(shipped(name)), replace=True)
 
 
 def hydra_entry(config_name: str) -> Callable[[Callable[[DictConfig], object]], Callable[[], None]]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import lightning as L
 import torch
@@ -13,29 +14,25 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
 from grabnet.body.hand import HandModel
+from grabnet.cli.checks import at_least
 from grabnet.data.batches import BatchAssembler, GraspBatch
 from grabnet.data.frames import Frames, FramesStore
 from grabnet.data.measuring import compute_targets
 from grabnet.data.objects import OBJECT_MESHES, ObjectSet
-from grabnet.data.splits import SPLITS, split_of
+from grabnet.data.sources.base import FrameSource, write_store
+from grabnet.data.splits import SPLITS, Split
 from grabnet.data.targets import MAX_POINTS, Targets
 from grabnet.errors import UserError
 
 
-class Preparation(Protocol):
-    """Makes the data that a DataModule reads when it is not there yet; called once, on one process."""
-
-    def __call__(self) -> None: ...
-
-
 class GraspDataModule(L.LightningDataModule):
-    """Frames of a store, split by object.
+    """Frames of a store, split by the names of what they show.
 
     Args:
         hand: the hand model that the frames' poses are for.
         root: of the data set, laid out as GRAB is; the frames store is its folder `frames`.
+        split: which frames are for training, validation and testing (ref. 3).
         objects_dir: folder with one mesh per object, `<name>.ply` (or .obj, .stl, …), in place of the data set's own.
-        val_objects, test_objects: names; every other object is for training (ref. 3).
         batch_size: frames per step, of all processes together.
         min_steps: of an epoch: few frames are gone through as often as that takes.
         object_points: surface samples per object.
@@ -46,18 +43,17 @@ class GraspDataModule(L.LightningDataModule):
         max_frames: use only so many training frames, evenly spaced; all when omitted.
         cache_dir: for signed-distance grids; the user's cache folder when omitted.
         seed: of sampling and shuffling.
-        prepare: makes store and objects where they are missing.
+        source: what the store and the objects' meshes are written from where they are missing.
 
     Raises:
-        UserError: a number that is too small or too large.
+        UserError: a number out of range.
     """
 
     def __init__(
         self,
         hand: HandModel,
         root: str,
-        val_objects: Sequence[str],
-        test_objects: Sequence[str],
+        split: Split,
         objects_dir: str | None = None,
         batch_size: int = 256,
         min_steps: int = 1,
@@ -69,43 +65,64 @@ class GraspDataModule(L.LightningDataModule):
         max_frames: int | None = None,
         cache_dir: str | None = None,
         seed: int = 0,
-        prepare: Preparation | None = None,
+        source: FrameSource | None = None,
     ):
         super().__init__()
-        for name, value, least in (
-            ("batch_size", batch_size, 2),  # of one frame there are no batch statistics
-            ("min_steps", min_steps, 1),
-            ("object_points", object_points, 1),
-            ("near_points", near_points, 1),
-            ("max_frames", max_frames, 2),
-        ):
-            if value is not None and value < least:
-                raise UserError(f"data.{name}={value} is too small: {least} is the least.")
+        self.hand = hand
+        self.root = Path(root)
+        self.store_dir = self.root / "frames"
+        self.split = split
+        self.objects_dir = Path(objects_dir) if objects_dir else self.root / OBJECT_MESHES
+        self.batch_size = batch_size
+        self.min_steps = min_steps
+        self.object_points = object_points
+        self.near_points = near_points
+        self.measure = measure
+        self.contact_distance = contact_distance
+        self.turn = turn
+        self.max_frames = max_frames
+        self.cache_dir = cache_dir
+        self.seed = seed
+        self.source = source
+        # Of one frame there are no batch statistics.
+        at_least(self, "data.", batch_size=2, min_steps=1, object_points=1, near_points=1, max_frames=2)
         if object_points > MAX_POINTS:
-            raise UserError(f"data.object_points={object_points} is too large: {MAX_POINTS} is the most.")
+            raise UserError(f"data.object_points is {object_points}; it must be at most {MAX_POINTS}.")
         if near_points > object_points:
             raise UserError(f"data.near_points={near_points} exceeds data.object_points={object_points}.")
-        self.hand, self.store_dir = hand, Path(root) / "frames"
-        self.objects_dir = Path(objects_dir) if objects_dir else Path(root) / OBJECT_MESHES
-        self.val_objects, self.test_objects = set(val_objects), set(test_objects)
-        self.batch_size, self.min_steps = batch_size, min_steps
-        self.object_points, self.near_points = object_points, near_points
-        self.measure, self.contact_distance, self.turn, self.max_frames = measure, contact_distance, turn, max_frames
-        self.cache_dir, self.seed, self.prepare = cache_dir, seed, prepare
         self.assembler: BatchAssembler | None = None
-        self.store: FramesStore | None = None
         self._frames: dict[str, Frames] = {}
         self._targets: dict[str, Targets] = {}
 
     def prepare_data(self) -> None:
-        if self.prepare is not None:
-            self.prepare()
+        if self.source is not None:
+            self._refuse_other_hand(self.source.hand.fingerprint)
+            write_store(self.root, self.source)
+
+    @cached_property
+    def store(self) -> FramesStore:
+        """All frames.
+
+        Raises:
+            UserError: no store there, one that cannot be read, or one of another hand.
+        """
+        store = FramesStore.load(self.store_dir)
+        self._refuse_other_hand(store.card["hand_sha256"])
+        return store
+
+    def _refuse_other_hand(self, fingerprint: str) -> None:
+        """Raise a `UserError` where the frames' poses are for another hand than the model that is to be posed."""
+        if fingerprint != self.hand.fingerprint:
+            raise UserError(
+                f"The frames in {self.store_dir} are of another hand ({fingerprint[:12]}) than hand_model "
+                f"({self.hand.fingerprint[:12]}): give the one that they were made with, hand_model=open or "
+                f"hand_model=mano hand_model.path=<its MANO_RIGHT.npz>."
+            )
 
     def setup(self, stage: str | None = None) -> None:
         """Load the store and measure its frames; done once, whatever the stage."""
         if self.assembler is not None:
             return
-        self.store = FramesStore.load(self.store_dir)
         objects = ObjectSet.load(
             self.objects_dir,
             self.store.objects,
@@ -119,12 +136,12 @@ class GraspDataModule(L.LightningDataModule):
             frames = self.store.frames.select(self._members(split))
             least = 2 if split == "train" else 1  # batch norm takes no less
             if len(frames) < least:
-                here = ", ".join(objects.names)
-                remedy = f"name some in data.{split}_objects"
+                here = ", ".join(self.split.names(self.store))
+                remedy = f"name some in data.split.{split}"
                 if split == "train":
-                    remedy = "leave some out of data.val_objects and data.test_objects"
+                    remedy = "leave some out of data.split.val and data.split.test"
                 has = f"{self.store_dir} has {len(frames) or 'no'} {split} frames, where {least} must be"
-                raise UserError(f"{has}; of its objects ({here}) {remedy}.")
+                raise UserError(f"{has}; of its {self.split.by}s ({here}) {remedy}.")
             self._frames[split] = frames
             self._targets[split] = compute_targets(frames, self.assembler, self.near_points)
 
@@ -133,9 +150,9 @@ class GraspDataModule(L.LightningDataModule):
         """(V,) share of training frames in which each hand vertex touches the object."""
         return self._targets["train"].contact(self.contact_distance)
 
-    def objects_of(self, split: str, names: Sequence[str]) -> list[str]:
-        """Those of the named objects that are for train, val or test."""
-        return [name for name in names if split_of(name, self.val_objects, self.test_objects) == split]
+    def part(self, split: str) -> FramesStore:
+        """The store with all frames of train, val or test only; needs no `setup`."""
+        return self.store.part(self.split.members(self.store, split))
 
     def frames(self, split: str) -> Frames:
         """The frames of train, val or test."""
@@ -197,8 +214,7 @@ class GraspDataModule(L.LightningDataModule):
 
     def _members(self, split: str) -> Tensor:
         """Frame numbers of a split."""
-        chosen = set(self.objects_of(split, self.store.objects))
-        members = torch.tensor([n in chosen for n in self.store.objects])[self.store.frames.object].nonzero().squeeze(1)
+        members = self.split.members(self.store, split)
         if split == "train" and self.max_frames is not None and self.max_frames < len(members):
             members = members[torch.linspace(0, len(members) - 1, self.max_frames).long()]
         return members

@@ -1,7 +1,8 @@
 """The frames store: what a training frame is once all that can be recomputed is left out (≈ 0.25 kB a frame).
 
 On disk:
-    <root>/store.json                          what it is made of: names, counts, hashes, provenance
+    <root>/recipe.json                         what it is made from and how; written first
+    <root>/store.json                          what it is made of: names, counts, hashes, provenance; written last
     <root>/subjects.safetensors                v_template (S, V, 3) of each subject's right hand
     <root>/contact.safetensors                 contact (V,), share of training frames in which each hand vertex touches
     <root>/shards/<subject>/<sequence>.safetensors   one per sequence: the unit of parallel work and of resuming
@@ -12,9 +13,9 @@ The same frames give the same bytes, whenever and wherever they are written.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +27,11 @@ from torch import Tensor
 from grabnet.body.hand import HandParameters
 from grabnet.errors import UserError
 from grabnet.geometry.rotations import axis_angle_to_matrix
-from grabnet.io.files import existing, write_bytes, write_json
+from grabnet.io.files import existing, leftovers, write_bytes, write_json
+from grabnet.io.recipes import claim
 
-FORMAT = 3
+# Raise it when a store must be read otherwise.
+FORMAT = 4
 
 # Per-frame values of a shard and their widths; all float32 but the frame number.
 _VALUES = {"global_orient": 3, "hand_pose": 45, "transl": 3, "object_orient": 3}
@@ -106,6 +109,15 @@ class FramesStore:
     frames: Frames
     card: dict[str, Any]
 
+    @property
+    def shown_objects(self) -> list[str]:
+        """Names of the objects with any frame."""
+        return [self.objects[number] for number in self.frames.object.unique().tolist()]
+
+    def part(self, index: Tensor) -> FramesStore:
+        """The store with the frames at `index` only."""
+        return replace(self, frames=self.frames.select(index))
+
     @classmethod
     def load(cls, root: str | Path) -> FramesStore:
         """Read a finished store.
@@ -117,7 +129,8 @@ class FramesStore:
         card = _read_card(root)
         if card.get("format") != FORMAT:
             raise UserError(
-                f"{root} is a frames store of format {card.get('format')}, and {FORMAT} is read here: make it anew."
+                f"{root} is a frames store of format {card.get('format')}, and {FORMAT} is read here: delete it and "
+                f"make it again."
             )
         with _damage_told(root / "store.json"):
             subjects, objects, sequences = card["subjects"], card["objects"], card["sequences"]
@@ -198,8 +211,28 @@ def read_header(path: str | Path) -> dict[str, Any]:
     return _open_shard(Path(path), lambda file: None)[0]
 
 
+def start_store(root: Path, recipe: Mapping[str, Any], remedy: str) -> None:
+    """Make a store's folder ready for shards of a recipe; remove what a killed process left half-written there.
+
+    Args:
+        root: of the store.
+        recipe: JSON-able record of all that decides a shard.
+        remedy: for a store of another recipe; ends the sentence.
+
+    Raises:
+        UserError: the folder holds shards of another recipe, or of none.
+    """
+    path = root / "recipe.json"
+    if shard_names(root) and not path.exists():
+        raise UserError(f"{root} holds frames without a record of what they were made from: {remedy}.")
+    claim(path, recipe, remedy)
+    for leftover in leftovers(root, "*.*", "shards/*/*.*"):
+        leftover.unlink()
+
+
 def finish_store(
     root: str | Path,
+    hand_sha256: str,
     v_template: dict[str, Tensor],
     objects: Iterable[str],
     provenance: dict[str, Any],
@@ -209,6 +242,7 @@ def finish_store(
 
     Args:
         root: of the store.
+        hand_sha256: `HandModel.fingerprint` of the hand that the poses are for.
         v_template: (V, 3) rest right hand of each subject, by name.
         objects: names of all objects.
         provenance: JSON-able record of what the frames were made from and how.
@@ -219,15 +253,8 @@ def finish_store(
     if contact is not None:
         write_bytes(root / "contact.safetensors", save({"contact": contact}))
     names = {"subjects": list(v_template), "objects": sorted(objects), "sequences": shard_names(root)}
-    write_json(root / "store.json", {"format": FORMAT} | names | {"provenance": provenance})
-
-
-def is_made_by(root: str | Path, recipe: dict[str, Any]) -> bool:
-    """Whether a finished store is there whose provenance names this recipe."""
-    if not (Path(root) / "store.json").exists():
-        return False
-    card = _read_card(Path(root))
-    return card.get("format") == FORMAT and card["provenance"].get("recipe") == recipe
+    facts = {"format": FORMAT, "hand_sha256": hand_sha256}
+    write_json(root / "store.json", facts | names | {"provenance": provenance})
 
 
 def _read_card(root: Path) -> dict[str, Any]:

@@ -10,7 +10,6 @@ from hydra.utils import instantiate
 
 from grabnet.body.hand import HandModel
 from grabnet.data.datamodule import GraspDataModule
-from grabnet.data.frames import FramesStore
 from grabnet.data.objects import object_files
 from grabnet.errors import UserError
 from grabnet.evaluation.cache import Cache
@@ -33,6 +32,8 @@ class EvaluationInputs:
         labels: what its vertices are.
         data: the data module, not set up.
         store: its frames.
+        part: the store with the frames of the evaluated split only.
+        training_part: the store with the frames of training only.
         files: meshes of all objects, by name.
         cache: of results.
         objects: names of those that are evaluated.
@@ -50,26 +51,23 @@ class EvaluationInputs:
         self.labels = HandLabels.of(self.hand)
         self.data: GraspDataModule = instantiate(config.data, hand=self.hand)
         self.data.prepare_data()
-        self.store = FramesStore.load(self.data.store_dir)
+        self.store = self.data.store
+        self.part = self.data.part(config.split)
+        self.training_part = self.data.part("train")
         self.files = object_files(self.data.objects_dir)
         self.cache = Cache(Path(config.cache_dir or default_cache()) / "evaluation")
         self.objects = self._objects()
         self.meshes: dict[str, Mesh] = {name: load_mesh(self.files[name]) for name in self.objects}
         self.truth: dict[str, Hands] = {
-            name: recorded_hands(self.store, self.hand, name, mesh, config.max_ground_truth)
+            name: recorded_hands(self.part, self.hand, name, mesh, config.max_ground_truth)
             for name, mesh in self.meshes.items()
         }
         self.models: list[EvaluatedModel] = load_models(
             config.models, self.hand, config.runs, usable_device(config.device)
         )
 
-    @cached_property
-    def recorded_objects(self) -> list[str]:
-        """Names of the objects with any grasp."""
-        return [self.store.objects[k] for k in self.store.frames.object.unique().tolist()]
-
     def _objects(self) -> list[str]:
-        objects = self.data.objects_of(self.config.split, self.recorded_objects)
+        objects = self.part.shown_objects
         if unknown := [name for name in self.config.only or [] if name not in objects]:
             raise UserError(f"only names {unknown[0]}; the {self.config.split} objects are {', '.join(objects)}.")
         objects = self.config.only or objects
@@ -82,7 +80,7 @@ class EvaluationInputs:
     @cached_property
     def training_objects(self) -> list[str]:
         """Names of training objects with a mesh, without the objects that are evaluated."""
-        names = self.data.objects_of("train", self.recorded_objects)
+        names = self.training_part.shown_objects
         return [name for name in names if name in self.files and name not in self.objects]
 
     @cached_property
@@ -90,8 +88,8 @@ class EvaluationInputs:
         """Hashes and names that tell frames, subjects, splits, objects and hand."""
         values = (getattr(self.store.frames, name) for name in self.store.frames.__dataclass_fields__)
         frames = [value.numpy() for value in values if value is not None]
-        names = [*self.store.objects, "|", *sorted(self.data.val_objects), "|"]
-        names += sorted(self.data.test_objects)
+        split = self.data.split
+        names = [*self.store.objects, "|", split.by, *sorted(split.val), "|", *sorted(split.test)]
         meshes = [sha256(self.files[name]) for name in self.store.objects if name in self.files]
         hand = [self.hand.v_template.numpy(), self.hand.weights.numpy()]
         return [sha256(*frames), sha256(self.store.v_template.numpy()), sha256(*hand), *names, *meshes]
@@ -104,8 +102,8 @@ class EvaluationInputs:
         mesh = load_mesh(self.files[min(self.files)])
 
         def compute() -> dict[str, np.ndarray]:
-            names = self.data.objects_of("train", self.recorded_objects)
-            hands = [recorded_hands(self.store, self.hand, name, mesh) for name in names]
+            part = self.training_part
+            hands = [recorded_hands(part, self.hand, name, mesh) for name in part.shown_objects]
             return {"keypoints": np.concatenate([self.labels.keypoints(h) for h in hands])}
 
         return self.cache.get("keypoints", [*self.fingerprint, mesh.sha256], compute)["keypoints"]

@@ -74,7 +74,7 @@ def _baseline(inputs: EvaluationInputs) -> Method:
     for name, mesh in inputs.meshes.items():
         similar = lookalike(mesh, files, inputs.cache)
         origin = load_mesh(files[similar.number])
-        hands = recorded_hands(inputs.store, inputs.hand, names[similar.number], origin)
+        hands = recorded_hands(inputs.training_part, inputs.hand, names[similar.number], origin)
         chosen = np.random.default_rng([inputs.config.seed, 3]).permutation(len(hands))[: inputs.config.n]
         method.hands[name] = transplanted(hands.select(chosen), origin, mesh, similar.turn)
         print(f"{method.name}: {name} is grasped like {names[similar.number]}")

@@ -66,8 +66,8 @@ def by_joblib(work: Work, names: Sequence[str], workers: int, max_deaths: int) -
                     yield Outcome(name, _killed(max_deaths))
 
 
-def by_dask(work: Work, names: Sequence[str], scheduler: str) -> Iterator[Outcome]:
-    """Do the work for each name on the cluster of a scheduler; outcomes as they come.
+def by_dask(work: Work, names: Sequence[str], address: str) -> Iterator[Outcome]:
+    """Do the work for each name on the cluster of the scheduler at an address; outcomes as they come.
 
     What a worker had when it died goes to another one, until more workers have died of it than the scheduler's
     `allowed-failures`, 3 unless configured otherwise. As dask blames all that a worker had, it gets as many lives once
@@ -81,10 +81,10 @@ def by_dask(work: Work, names: Sequence[str], scheduler: str) -> Iterator[Outcom
     except ImportError:
         raise UserError("backend=dask needs dask: pip install -e '.[cluster]'.") from None
     try:
-        client = Client(scheduler, timeout=_PATIENCE, set_as_default=False)
+        client = Client(address, timeout=_PATIENCE, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise UserError(
-            f"No dask scheduler answers at scheduler={scheduler} ({error}): start one, or name it."
+            f"No dask scheduler answers at dask_address={address} ({error}): start one, or name it."
         ) from None
     with client:
         name_of = {client.submit(work, name, pure=False): name for name in names}

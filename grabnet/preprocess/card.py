@@ -1,4 +1,4 @@
-"""What a data set of training frames is, told by the shards themselves: card, waterfall, agreement of labels."""
+"""What a data set of training frames is, counted from its shards: card, waterfall, agreement of labels."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Card:
 
     Args:
         headers: of every shard, by name.
-        splits: where each object belongs.
+        splits: train, val or test for every shard, by name.
         failed: recordings that could not be used.
         facts: what the card says besides: source, recipe, versions, hashes.
     """
@@ -35,9 +35,8 @@ class Card:
         facts: Mapping[str, Any],
     ):
         self.headers, self.splits, self.waterfall = headers, splits, Waterfall()
-        for header in headers.values():
-            thing = header["object"]
-            self.waterfall.add(splits[thing], header["intent"], thing, header["counts"]["waterfall"])
+        for name, header in headers.items():
+            self.waterfall.add(splits[name], header["intent"], header["object"], header["counts"]["waterfall"])
         self.content = {
             "sequences": self._sequences(sorted(failed)),
             "frames": self._frames(),
@@ -73,9 +72,9 @@ class Card:
     def _frames(self) -> dict[str, Any]:
         """How many there are, in all and by split, intent, object and subject."""
         counts = {"split": Counter(), "intent": Counter(), "object": Counter(), "subject": Counter()}
-        for header in self.headers.values():
+        for name, header in self.headers.items():
             n = header["counts"]["fingers"]["frames"]
-            counts["split"][self.splits[header["object"]]] += n
+            counts["split"][self.splits[name]] += n
             for aspect in ("intent", "object", "subject"):
                 counts[aspect][header[aspect]] += n
         by = {f"by_{aspect}": dict(sorted(counter.items())) for aspect, counter in counts.items()}
@@ -118,8 +117,9 @@ class Card:
             for side, parts in self.agreement.items():
                 lines += [f"On the {side}: " + ", ".join(f"{part}: {iou:.2f}" for part, iou in parts.items()) + ".", ""]
         lines += ["## Settings", ""]
-        lines += [f"- {key}: {value}" for key, value in content["recipe"]["filter"].items()]
-        lines += [f"- labels: {content['recipe']['contact']}", f"- code: {content['recipe']['code'][:12]}", ""]
+        settings = content["recipe"] | content["recipe"]["filter"]
+        lines += [f"- {key}: {value}" for key, value in settings.items() if not isinstance(value, dict)]
+        lines.append("")
         return "\n".join(lines)
 
     def _left(self) -> dict[str, dict[str, Any]]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from grabnet.body.skeleton import LEFT_HAND_PARTS, N_PARTS, RIGHT_FINGER_PARTS, RIGHT_HAND_PARTS
+from grabnet.cli.checks import at_least, one_of
 from grabnet.errors import UserError
 from grabnet.preprocess.grasp_track import GraspTrack
 
@@ -44,12 +45,8 @@ class FrameFilter:
     mirror_left: bool
 
     def __post_init__(self):
-        if self.height not in ("frame0", "table"):
-            raise UserError(f"filter.height is '{self.height}'; it can be frame0 or table.")
-        least = {"every": 1, "min_finger_vertices": 1, "min_other_fingers": 0, "min_lift": 0}
-        for name, low in least.items():
-            if not (value := getattr(self, name)) >= low:
-                raise UserError(f"filter.{name} is {value}; it must be at least {low}.")
+        one_of(self, "filter.", height=("frame0", "table"))
+        at_least(self, "filter.", every=1, min_finger_vertices=1, min_other_fingers=0, min_lift=0)
         if self.min_other_fingers > (most := len(RIGHT_FINGER_PARTS) - 1):
             raise UserError(f"filter.min_other_fingers is {self.min_other_fingers}; there are {most}.")
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,15 +16,14 @@ from grabnet.data.batches import BatchAssembler
 from grabnet.data.frames import finish_store, read_frames
 from grabnet.data.measuring import contact_share
 from grabnet.data.objects import OBJECT_MESHES, ObjectSet
-from grabnet.data.sequences import load_below
-from grabnet.data.splits import MIRRORED_SUFFIX, split_of
+from grabnet.data.sources.base import place_mesh
+from grabnet.data.splits import MIRRORED_SUFFIX, Split
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh, save_mesh
-from grabnet.io.files import replacing
 from grabnet.io.provenance import versions
 from grabnet.preprocess.card import Card
-from grabnet.preprocess.grasp_track import mirror_image
-from grabnet.preprocess.recordings import Recordings
+from grabnet.preprocess.grasp_track import mirror_image, mirrored
+from grabnet.preprocess.recordings import RecordingSource
 
 # Headers of shards (`read_header`) by name.
 Headers = Mapping[str, Mapping[str, Any]]
@@ -36,17 +34,17 @@ class Finishing:
     """Finishes the data set in a folder when called.
 
     Args:
-        root: the folder. recordings: what its shards are of.
-        val_objects, test_objects: names; every other object is for training.
+        root: the folder.
+        recordings: what its shards are of.
+        split: which frames are for training, validation and testing.
         contact_distance: metres within which a hand vertex touches.
         cache_dir: of signed-distance grids; the user's cache folder when omitted.
         pictures: draw the waterfall and the hand coloured by its contact.
     """
 
     root: Path
-    recordings: Recordings
-    val_objects: Collection[str]
-    test_objects: Collection[str]
+    recordings: RecordingSource
+    split: Split
     contact_distance: float
     cache_dir: str | None
     pictures: bool
@@ -61,15 +59,18 @@ class Finishing:
             UserError: hand templates that don't fit the model, or differ within a subject.
         """
         v_template = self._templates(headers)
-        splits = {name: self._split(name) for name in sorted({header["object"] for header in headers.values()})}
-        hashes = {name: self._place_object(name) for name in splits}
-        contact = self._contact(headers, v_template)
+        splits = {
+            name: self.split.of(object=header["object"], subject=header["subject"], sequence=name)
+            for name, header in headers.items()
+        }
+        objects = sorted({header["object"] for header in headers.values()})
+        hashes = {name: self._place_object(name) for name in objects}
+        contact = self._contact(headers, splits, v_template)
         facts = {
-            "source": "recordings",
             "recipe": recipe,
             "versions": versions(),
             "objects_sha256": hashes,
-            "split": {"val": list(self.val_objects), "test": list(self.test_objects)},
+            "split": asdict(self.split),
         }
         card = Card(headers, splits, failed, facts)
         card.write(self.root)
@@ -79,14 +80,11 @@ class Finishing:
             draw_waterfall(card.waterfall, self.root / "waterfall.png")
             if contact is not None:
                 draw_contact(self._hand, contact, self.root / "contact.png")
-        finish_store(self.root / "frames", v_template, splits, facts, contact)
+        finish_store(self.root / "frames", self._hand.fingerprint, v_template, objects, facts, contact)
 
     @cached_property
     def _hand(self) -> HandModel:
-        return HandModel(self.recordings.hand("right"))
-
-    def _split(self, name: str) -> str:
-        return split_of(name, self.val_objects, self.test_objects)
+        return self.recordings.hand()
 
     def _templates(self, headers: Headers) -> dict[str, Tensor]:
         """(V, 3) rest right hand of each subject, by name."""
@@ -97,31 +95,27 @@ class Finishing:
                 raise UserError(f"{name} has its hand from {header['template']}, others of its subject from {path}.")
         templates = {}
         for subject, path in sorted(paths.items()):
-            mesh = load_below(self.recordings.folder, path)
-            n, of_model = len(mesh.vertices), len(self._hand.v_template)
-            if n != of_model:
+            rest = self.recordings.rest(path)
+            if (n := len(rest)) != (of_model := len(self._hand.v_template)):
                 raise UserError(f"{self.recordings.folder / path} has {n} vertices, the hand model {of_model}.")
-            mirrored = subject.endswith(MIRRORED_SUFFIX)
-            templates[subject] = torch.tensor((mirror_image(mesh) if mirrored else mesh).vertices)
+            templates[subject] = mirrored(rest) if subject.endswith(MIRRORED_SUFFIX) else rest
         return templates
 
     def _place_object(self, name: str) -> str:
         """Put an object's mesh, or its mirror image, where training looks for it; its hash."""
-        source = self.recordings.objects[name.removesuffix(MIRRORED_SUFFIX)]
-        target = self.root / OBJECT_MESHES / (f"{name}.ply" if name.endswith(MIRRORED_SUFFIX) else source.name)
-        if name.endswith(MIRRORED_SUFFIX):
-            save_mesh(target, mirror_image(load_mesh(source)))
-        elif target != source:
-            with replacing(target) as temporary:
-                shutil.copyfile(source, temporary)
+        source = self.recordings.objects()[name.removesuffix(MIRRORED_SUFFIX)]
+        if not name.endswith(MIRRORED_SUFFIX):
+            return place_mesh(self.root, name, source)
+        target = self.root / OBJECT_MESHES / f"{name}.ply"
+        save_mesh(target, mirror_image(load_mesh(source)))
         return load_mesh(target).sha256
 
-    def _contact(self, headers: Headers, v_template: dict[str, Tensor]) -> Tensor | None:
+    def _contact(self, headers: Headers, splits: Mapping[str, str], v_template: dict[str, Tensor]) -> Tensor | None:
         """(V,) share of training frames in which each hand vertex touches; None where there are none."""
         kept = [
             name
             for name, header in headers.items()
-            if header["counts"]["fingers"]["frames"] and self._split(header["object"]) == "train"
+            if header["counts"]["fingers"]["frames"] and splits[name] == "train"
         ]
         if not kept:
             return None

@@ -1,4 +1,4 @@
-"""A recording as its right hand has it, or as its left hand has it in a mirror: then too a right hand's."""
+"""A recording as its right hand has it, or its left hand, which a mirror turns into a right one."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from torch import Tensor
 
 from grabnet.body.skeleton import MIRRORED_PART
 from grabnet.data.sequences import HandTrack, RigidTrack, Sequence
+from grabnet.data.sources.base import HandFrames
 from grabnet.data.splits import MIRRORED_SUFFIX
 from grabnet.geometry.mesh import Mesh
 
@@ -22,9 +23,14 @@ class GraspTrack:
     """A right hand, an object and what touches it, frame by frame.
 
     Attributes:
-        name, subject, object_name, intent: of the recording; mirrored ones end in `MIRRORED_SUFFIX`.
-        hand: the right hand's motion. object: the object's.
-        labels: (T, V of the object) uint8, the part that touches each vertex, 0 for none.
+        name: of the recording, `<subject>/<object>_<action>_<k>`.
+        subject: whose hand it is.
+        object_name: what it is on.
+        intent: what for.
+        hand: the right hand's motion; its `vtemp` names the subject's rest hand for `RecordingSource.rest`.
+        object: the object's motion.
+        labels: (T, V of the object) uint8, the part that touches each vertex (ref. 1), 0 for none.
+        is_mirrored: whether it is seen in a mirror: name, subject and object name then end in `MIRRORED_SUFFIX`.
     """
 
     name: str
@@ -34,6 +40,7 @@ class GraspTrack:
     hand: HandTrack
     object: RigidTrack
     labels: np.ndarray
+    is_mirrored: bool = False
 
     @classmethod
     def right(cls, sequence: Sequence) -> GraspTrack:
@@ -49,7 +56,7 @@ class GraspTrack:
 
         The hand's template is the left one's mirror image, and the object another one, the mirror image of the mesh.
         """
-        hand, thing = sequence.lhand, sequence.object
+        hand, track = sequence.lhand, sequence.object
         return cls(
             sequence.name + MIRRORED_SUFFIX,
             sequence.sbj_id + MIRRORED_SUFFIX,
@@ -61,36 +68,32 @@ class GraspTrack:
                 fullpose=(-_FLIP * hand.fullpose.reshape(-1, 15, 3)).reshape(-1, 45),
                 transl=_FLIP * hand.transl,
             ),
-            replace(thing, global_orient=-_FLIP * thing.global_orient, transl=_FLIP * thing.transl),
+            replace(track, global_orient=-_FLIP * track.global_orient, transl=_FLIP * track.transl),
             MIRRORED_PART[sequence.contact.object],
+            is_mirrored=True,
         )
-
-    @property
-    def is_mirrored(self) -> bool:
-        return self.name.endswith(MIRRORED_SUFFIX)
 
     def __len__(self) -> int:
         return len(self.labels)
 
-    def frames(self, chosen: np.ndarray, centroid: np.ndarray) -> dict[str, Tensor]:
-        """Hand and object in chosen frames about the object's centroid, heading kept (ref. 3), for `write_shard`.
+    def frames(self, chosen: np.ndarray) -> HandFrames:
+        """Hand and object in chosen frames (N,)."""
+        return HandFrames(
+            subject=self.subject,
+            object=self.object_name,
+            intent=self.intent,
+            frame=torch.as_tensor(chosen),
+            hand=self.hand.parameters(chosen),
+            object_rotation=self.object.rotations(chosen),
+            object_transl=torch.as_tensor(self.object.transl[chosen]),
+        )
 
-        Args:
-            chosen: (N,) frame numbers.
-            centroid: (3,) of the recorded object's mesh, in its own frame.
-        """
-        hand, thing = self.hand, self.object
-        centroid = _FLIP * centroid if self.is_mirrored else centroid
-        origin = thing.to_world(torch.as_tensor(centroid, dtype=torch.float32).view(1, 3), chosen)[:, 0]
-        return {
-            "global_orient": torch.as_tensor(hand.global_orient[chosen]),
-            "hand_pose": torch.as_tensor(hand.fullpose[chosen]),
-            "transl": torch.as_tensor(hand.transl[chosen]) - origin,
-            "object_orient": -torch.as_tensor(thing.global_orient[chosen]),  # the store's acts on column vectors
-            "frame": torch.as_tensor(chosen),
-        }
+
+def mirrored(points: np.ndarray | Tensor) -> Tensor:
+    """Points (..., 3) in the mirror that `GraspTrack.left_mirrored` looks into."""
+    return torch.as_tensor(points, dtype=torch.float32) * torch.as_tensor(_FLIP)
 
 
 def mirror_image(mesh: Mesh) -> Mesh:
-    """The mesh in the mirror that `GraspTrack.left_mirrored` looks into: its vertices in order, faces outwards."""
+    """The mesh in that mirror: its vertices in order, faces outwards."""
     return Mesh(_FLIP * mesh.vertices, mesh.faces[:, ::-1])

@@ -1,71 +1,261 @@
-"""A folder of recordings in GRAB's layout, and the hand and body models that their poses are for."""
+"""Recordings of hands and objects, which frames are filtered from: what they must tell, and GRAB's own."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any
 
-from grabnet.body.hand import OPEN_HANDS
-from grabnet.body.whole import OPEN_BODY
+import numpy as np
+import torch
+from torch import Tensor
+
+from grabnet.body.hand import OPEN_HANDS, HandModel
+from grabnet.body.whole import OPEN_BODY, BodyModel
+from grabnet.cli.checks import one_of
+from grabnet.contact.sequences import annotate
 from grabnet.data.objects import OBJECT_MESHES, object_files
+from grabnet.data.sequences import Sequence, load_below, read_sequence
 from grabnet.errors import UserError
-from grabnet.io.files import existing
+from grabnet.geometry.mesh import Mesh, load_mesh
+from grabnet.io.files import existing, sha256
+from grabnet.preprocess.grasp_track import GraspTrack
+from grabnet.preprocess.heights import gap_to_table
+from grabnet.preprocess.statistics import contact_counts, overlap
+
+LABELS = ("stored", "recompute")
+
+
+class Recording(ABC):
+    """One recording, read.
+
+    Attributes:
+        right: what the right hand does.
+        centroid: (3,) metres, mean vertex of the object's mesh, in the object's frame.
+        inputs: SHA-256 of every file that the frames follow from, by its path below `RecordingSource.folder`.
+    """
+
+    right: GraspTrack
+    centroid: np.ndarray
+    inputs: dict[str, str]
+
+    def left_mirrored(self) -> GraspTrack:
+        """What the left hand does, as a mirror shows it; see `GraspTrack.left_mirrored`."""
+        raise UserError(f"{self.right.name} has no left hand: set filter.mirror_left=false.")
+
+    def gap_to_table(self) -> np.ndarray:
+        """(T,) metres between the object and the table below it."""
+        raise UserError(f"{self.right.name} has no table: set filter.height=frame0.")
+
+    def counts(self) -> dict[str, Any]:
+        """Further counts for the card, JSON-able: "contact" as of `contact_counts`, "overlap" of two annotations."""
+        return {}
+
+
+class RecordingSource(ABC):
+    """A data set as recordings with contact labels. It is sent to workers, so it must pickle."""
+
+    @property
+    @abstractmethod
+    def folder(self) -> Path:
+        """Absolute path that the recordings' files lie below."""
+
+    @abstractmethod
+    def names(self) -> list[str]:
+        """Names of all recordings, `<subject>/<object>_<action>_<k>`; a `UserError` where there are none."""
+
+    @abstractmethod
+    def objects(self) -> Mapping[str, Path]:
+        """Mesh file of each object, by name; metres."""
+
+    @abstractmethod
+    def hand(self) -> HandModel:
+        """The right hand that the poses are for."""
+
+    @abstractmethod
+    def recipe(self) -> dict[str, Any]:
+        """All that decides what `read` gives besides the recordings' files, JSON-able; the models' hashes among it."""
+
+    @abstractmethod
+    def read(self, name: str) -> Recording:
+        """One recording; a `UserError` where it cannot be used."""
+
+    @abstractmethod
+    def rest(self, template: str) -> Tensor:
+        """(V, 3) rest vertices, metres, of a subject's hand that a `GraspTrack` names as its template."""
 
 
 @dataclass(frozen=True)
-class Recordings:
-    """Where the files of a data set are.
+class GrabRecordings(RecordingSource):
+    """A folder of recordings in GRAB's layout, and the hand and body models that their poses are for.
 
     Args:
         root: folder with `grab/<subject>/*.npz` and `tools/`.
         models: folder with MANO's and SMPL-X's files, in it or in its `mano` and `smplx`; the open hand and body when
             omitted.
+        contact: "stored", the labels in the files; or "recompute", labels found from the surfaces.
+        contact_distance: ε of `ContactAnnotator`, metres.
+        every: n, to find the labels of every n-th frame only.
+
+    Raises:
+        UserError: another `contact`.
     """
 
     root: str
     models: str | None
+    contact: str
+    contact_distance: float
+    every: int
+
+    def __post_init__(self):
+        one_of(self, "data.", contact=LABELS)
 
     @cached_property
     def folder(self) -> Path:
-        """The root, from `/`."""
         return Path(self.root).resolve()
 
     def names(self) -> list[str]:
-        """Of all recordings, `<subject>/<object>_<action>_<k>`.
-
-        Raises:
-            UserError: there are none.
-        """
         names = [f"{file.parent.name}/{file.stem}" for file in sorted(self.folder.glob("grab/*/[!.]*.npz"))]
         if not names:
             remedy = "make them with python scripts/build_open.py sequences"
             if self.models is not None:
-                remedy = "unpack GRAB with python scripts/unpack_grab.py and name its folder with grab.root="
+                remedy = "unpack GRAB with python scripts/unpack_grab.py and name its folder with data.root="
             raise UserError(f"{self.folder} holds no recordings grab/<subject>/<sequence>.npz: {remedy}.")
         return names
 
+    def objects(self) -> Mapping[str, Path]:
+        return self._objects
+
+    def hand(self) -> HandModel:
+        return HandModel(self._hand_file)
+
+    def recipe(self) -> dict[str, Any]:
+        genders = ("female", "male") if self.contact == "recompute" else ()
+        bodies = sorted({self._body_file(gender) for gender in genders})
+        return {
+            "contact": self.contact,
+            "contact_distance": self.contact_distance,
+            "models": {path.name: sha256(path) for path in (self._hand_file, *bodies)},
+        }
+
+    def read(self, name: str) -> GrabRecording:
+        files = _Files(self.folder)
+        path = files.used(f"grab/{name}.npz")
+        sequence = read_sequence(path, self._objects)
+        mesh_file = str(self._objects[sequence.obj_name].relative_to(self.folder))
+        mesh = files.mesh(mesh_file)
+        if (n := sequence.contact.object.shape[1]) != len(mesh.vertices):
+            raise UserError(f"{path} labels {n} vertices of an object that has {len(mesh.vertices)} in {mesh_file}.")
+        overlaps = None
+        if self.contact == "recompute":
+            sequence, overlaps = self._annotated(sequence, mesh, files.mesh(sequence.body.vtemp))
+        centroid = files.mesh(mesh_file, weld=True).centroid  # as training has it
+        return GrabRecording(sequence, mesh, centroid, files, overlaps)
+
+    def rest(self, template: str) -> Tensor:
+        return torch.tensor(load_below(self.folder, template).vertices)
+
     @cached_property
-    def objects(self) -> dict[str, Path]:
-        """Mesh file of each object."""
+    def _objects(self) -> dict[str, Path]:
         return object_files(self.folder / OBJECT_MESHES)
 
-    def hand(self, side: str) -> Path:
-        """File of the `side`, right or left, hand model."""
-        if self.models is None:
-            return OPEN_HANDS / f"MANO_{side.upper()}.npz"
-        return self._model("mano", f"MANO_{side.upper()}")
+    @property
+    def _hand_file(self) -> Path:
+        return OPEN_HANDS / "MANO_RIGHT.npz" if self.models is None else self._model("mano", "MANO_RIGHT")
 
-    def body(self, gender: str) -> Path:
+    def _body_file(self, gender: str) -> Path:
         """File of the whole-body model of a gender; there is but one open body."""
         if self.models is None:
             return OPEN_BODY / "SMPLX_NEUTRAL.npz"
         return self._model("smplx", f"SMPLX_{gender.upper()}")
 
     def _model(self, folder: str, name: str) -> Path:
-        root = existing(self.models, "Folder of models (models.root)").resolve()
-        wanted = [root / place / f"{name}{suffix}" for place in ("", folder) for suffix in (".npz", ".pkl")]
-        for path in wanted:
+        root = existing(self.models, "Folder of models (data.models)").resolve()
+        for path in (root / place / f"{name}{suffix}" for place in ("", folder) for suffix in (".npz", ".pkl")):
             if path.exists():
                 return path
         raise UserError(f"{root} holds neither {name} nor {folder}/{name}, as .npz or .pkl: put that model there.")
+
+    def _annotated(self, sequence: Sequence, mesh: Mesh, template: Mesh) -> tuple[Sequence, dict[str, Any]]:
+        """The recording with labels of our own, and how far they overlap with those in its file."""
+        body = _body(self._body_file(sequence.gender))
+        v_template, stored = torch.tensor(template.vertices), sequence.contact
+        if not len(v_template) == len(body.v_template) == stored.body.shape[1]:
+            raise UserError(
+                f"The body has {len(body.v_template)} vertices, {sequence.body.vtemp} {len(v_template)}, "
+                f"and {sequence.name} labels {stored.body.shape[1]}: they must be of one kind."
+            )
+        found = annotate(sequence, body, v_template, mesh, self.contact_distance, self.every)
+        sides = {"object": (found.object, stored.object), "body": (found.body, stored.body)}
+        overlaps = {side: overlap(*(labels[:: self.every] for labels in both)) for side, both in sides.items()}
+        return replace(sequence, contact=found), overlaps
+
+
+class GrabRecording(Recording):
+    """A recording of GRAB.
+
+    Args:
+        sequence: its content, with the labels to use.
+        mesh: the object's, its vertices as they are labelled.
+        centroid: (3,) of the welded mesh.
+        files: that it was read from.
+        overlaps: of the labels to use with those in the file, by side, where they are others.
+    """
+
+    def __init__(
+        self, sequence: Sequence, mesh: Mesh, centroid: np.ndarray, files: _Files, overlaps: dict[str, Any] | None
+    ):
+        self.right = GraspTrack.right(sequence)
+        self.centroid = centroid
+        self._sequence = sequence
+        self._mesh = mesh
+        self._files = files
+        self._overlaps = overlaps
+        files.mesh(sequence.rhand.vtemp)  # of use at the end only, but missing it is a fault of this recording
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        return self._files.sha256
+
+    def left_mirrored(self) -> GraspTrack:
+        self._files.mesh(self._sequence.lhand.vtemp)  # as above
+        return GraspTrack.left_mirrored(self._sequence)
+
+    def gap_to_table(self) -> np.ndarray:
+        table = self._sequence.table
+        return gap_to_table(self._sequence.object, self._mesh, table, self._files.mesh(table.mesh))
+
+    def counts(self) -> dict[str, Any]:
+        contact = {"contact": contact_counts(self._sequence)}
+        return contact if self._overlaps is None else contact | {"overlap": self._overlaps}
+
+
+class _Files:
+    """Reads files below a root, and remembers which, by hash."""
+
+    def __init__(self, root: Path):
+        self.root, self.sha256 = root, {}
+
+    def used(self, relative: str) -> Path:
+        """Its path."""
+        path = existing(self.root / relative, "File")
+        self.sha256[relative] = sha256(path)
+        return path
+
+    def mesh(self, relative: str, weld: bool = False) -> Mesh:
+        """A mesh; the latest ones are kept, as long as their files stay what they were."""
+        self.used(relative)
+        return _mesh(self.root, relative, weld, self.sha256[relative])
+
+
+@lru_cache(maxsize=32)
+def _mesh(root: Path, relative: str, weld: bool, sha256: str) -> Mesh:
+    return load_mesh(root / relative) if weld else load_below(root, relative)
+
+
+@lru_cache(maxsize=4)
+def _body(path: Path) -> BodyModel:
+    return BodyModel(path)

@@ -1,21 +1,18 @@
-"""Going on with a store that was begun: with the same recipe and files only, and by one process at a time."""
+"""Continuing a store: made of the same files only, and by one process at a time."""
 
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from grabnet.data.frames import read_header, shard_names, shard_path
 from grabnet.data.splits import MIRRORED_SUFFIX
 from grabnet.errors import UserError
-from grabnet.io.files import existing, leftovers, sha256, write_json
-from grabnet.io.recipes import difference
-from grabnet.preprocess.recordings import Recordings
+from grabnet.io.files import existing, sha256
+from grabnet.preprocess.recordings import RecordingSource
 
 
 @contextmanager
@@ -40,30 +37,14 @@ def alone_in(store: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def begin(store: Path, recipe: dict[str, Any]) -> None:
-    """Write the recipe of its shards down in a new store; of one begun earlier remove what a killed run left
-    half-written.
-
-    Raises:
-        UserError: it was begun with another recipe.
-    """
-    path, remedy = store / "recipe.json", f"delete {store}, or choose another output="
-    if not path.exists():
-        if shard_names(store):
-            raise UserError(f"{store} holds frames that were not made from recordings: {remedy}.")
-        write_json(path, recipe)
-        return
-    if changed := difference(json.loads(path.read_text()), recipe):
-        raise UserError(f"{store} was {changed}: {remedy}.")
-    for leftover in leftovers(store, "*.*", "shards/*/*.*"):
-        leftover.unlink()
-
-
-def shards_done(store: Path, recordings: Recordings, names: Collection[str], mirrored: bool) -> set[str]:
+def shards_done(store: Path, recordings: RecordingSource, names: Collection[str], mirrored: bool) -> set[str]:
     """Those of the recordings whose shards are there, made of the files as they are.
 
     Args:
-        names: of all recordings. mirrored: whether each has a second shard, of its mirror image.
+        store: folder of the shards.
+        recordings: the data set.
+        names: of all recordings.
+        mirrored: whether each has a second shard, of its mirror image.
 
     Raises:
         UserError: a shard of a recording that is no more, or of files that have changed.
@@ -81,7 +62,7 @@ def shards_done(store: Path, recordings: Recordings, names: Collection[str], mir
                 digests[file] = sha256(existing(now, "File"))
             if digests[file] != digest:
                 raise UserError(
-                    f"{path} was made when {now} was another file: delete the shard to have it made anew, or choose "
+                    f"{path} was made when {now} was another file: delete the shard to have it made again, or choose "
                     f"another output=."
                 )
     there, endings = set(shards), ("", MIRRORED_SUFFIX) if mirrored else ("",)

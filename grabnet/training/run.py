@@ -26,7 +26,7 @@ from grabnet.data.datamodule import GraspDataModule
 from grabnet.errors import UserError
 from grabnet.io.files import DISK_ERRORS, replacing, sha256, write_json
 from grabnet.io.provenance import provenance
-from grabnet.io.recipes import difference
+from grabnet.io.recipes import refuse_other
 from grabnet.models.weights import FILE_NAME, save_network
 from grabnet.training.acceleration import compile_blocks, denormals_flushed, set_matmul_precision
 from grabnet.training.checkpoints import BEST, AtomicCheckpointIO, drop_damaged, newest_whole, read_checkpoint
@@ -132,9 +132,9 @@ def _fit(
 
 def _refuse_other_settings(path: Path, cfg: DictConfig) -> None:
     """Raise a `UserError` where the run whose config is at `path` learns something else, or otherwise, than `cfg`."""
-    begun, now = (OmegaConf.to_container(config, resolve=True) for config in (OmegaConf.load(path), cfg))
-    if changed := difference({key: begun.get(key) for key in _FIXED}, {key: now[key] for key in _FIXED}):
-        raise UserError(f"{path.parent} was {changed}: choose another run_dir, or begin it anew with resume=false.")
+    configs = (OmegaConf.to_container(config, resolve=True) for config in (OmegaConf.load(path), cfg))
+    started, now = ({key: config.get(key) for key in _FIXED} for config in configs)
+    refuse_other(path.parent, started, now, "choose another run_dir, or start it from scratch with resume=false")
 
 
 def _earlier(path: Path) -> dict[str, Any]:

@@ -166,3 +166,14 @@ def test_fewer_betas_than_the_model_has_and_more():
     torch.testing.assert_close(hand.shaped(betas), hand.shaped(padded))
     with pytest.raises(ValueError, match="11 betas given, but this hand model has 10"):
         hand.shaped(torch.zeros(1, 11))
+
+
+@pytest.mark.parametrize("name", ["v_template", "J_regressor", "weights", "posedirs"])
+def test_the_fingerprint_is_of_all_that_gives_a_pose_its_meaning(tmp_path, random_mano, name):
+    prints = []
+    for number, change in enumerate((0, 0, 1e-3)):
+        path = tmp_path / str(number) / "MANO_RIGHT.npz"
+        path.parent.mkdir()
+        np.savez(path, **random_mano | {name: random_mano[name] + change})
+        prints.append(HandModel(path, dtype=torch.float64 if number else torch.float32).fingerprint)
+    assert prints[0] == prints[1] != prints[2]

@@ -12,12 +12,13 @@ from grabnet.body.hand import HandParameters
 from grabnet.data.datamodule import GraspDataModule, IndexBatches
 from grabnet.data.frames import finish_store, write_shard
 from grabnet.data.objects import OBJECT_MESHES
+from grabnet.data.splits import Split
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.queries import MeshQuery
 from tests.data.test_frames import shard_values
 
-SPLIT = {"val_objects": ["can"], "test_objects": ["ring"]}
+SPLIT = {"split": Split("object", ["can"], ["ring"])}
 
 
 @pytest.fixture(scope="module")
@@ -179,11 +180,11 @@ def test_what_processes_cannot_share_is_an_error(batch_size, devices, sentence, 
 @pytest.mark.parametrize(
     ("values", "sentence"),
     [
-        ({"batch_size": 1}, "data.batch_size=1 is too small: 2 is the least"),
-        ({"min_steps": 0}, "data.min_steps=0 is too small: 1 is the least"),
-        ({"near_points": 0}, "data.near_points=0 is too small: 1 is the least"),
-        ({"max_frames": -1}, "data.max_frames=-1 is too small: 2 is the least"),
-        ({"object_points": 32768}, "data.object_points=32768 is too large: 32767 is the most"),
+        ({"batch_size": 1}, r"data\.batch_size is 1; it must be at least 2\."),
+        ({"min_steps": 0}, r"data\.min_steps is 0; it must be at least 1\."),
+        ({"near_points": 0}, r"data\.near_points is 0; it must be at least 1\."),
+        ({"max_frames": -1}, r"data\.max_frames is -1; it must be at least 2\."),
+        ({"object_points": 32768}, r"data\.object_points is 32768; it must be at most 32767\."),
         ({"near_points": 3000}, "data.near_points=3000 exceeds data.object_points=2048"),
     ],
 )
@@ -200,17 +201,17 @@ def test_missing_meshes_are_named(tiny_dataset, hand, tmp_path, cache_dir):
 
 
 def test_an_empty_split_is_an_error(tiny_dataset, hand, cache_dir):
-    data = GraspDataModule(hand, str(tiny_dataset), [], ["mug"], cache_dir=str(cache_dir))
-    with pytest.raises(UserError, match=r"no val frames.*name some in data\.val_objects"):
+    data = GraspDataModule(hand, str(tiny_dataset), Split("object", [], ["mug"]), cache_dir=str(cache_dir))
+    with pytest.raises(UserError, match=r"no val frames.*name some in data\.split\.val"):
         data.setup()
 
 
 def test_one_training_frame_is_too_few(tiny_dataset, hand, cache_dir, tmp_path):
     write_shard(tmp_path / "frames", "s1/ball_lift", "s1", "ball", shard_values(1, 0))
-    finish_store(tmp_path / "frames", {"s1": hand.v_template}, ["ball"], {})
+    finish_store(tmp_path / "frames", hand.fingerprint, {"s1": hand.v_template}, ["ball"], {})
     meshes = str(tiny_dataset / OBJECT_MESHES)
-    data = GraspDataModule(hand, str(tmp_path), [], [], objects_dir=meshes, cache_dir=str(cache_dir))
-    with pytest.raises(UserError, match=r"has 1 train frames.*leave some out of data\.val_objects"):
+    data = GraspDataModule(hand, str(tmp_path), Split("object", [], []), objects_dir=meshes, cache_dir=str(cache_dir))
+    with pytest.raises(UserError, match=r"has 1 train frames.*leave some out of data\.split\.val"):
         data.setup()
 
 

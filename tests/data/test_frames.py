@@ -10,6 +10,8 @@ from grabnet.errors import UserError
 from grabnet.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from grabnet.io.files import write_json
 
+HAND = 64 * "0"
+
 
 def shard_values(n: int, seed: int) -> dict[str, torch.Tensor]:
     generator = torch.Generator().manual_seed(seed)
@@ -24,7 +26,7 @@ def store(tmp_path):
         [("s1/mug_lift_1", "s1", "mug"), ("s1/cup_pass_1", "s1", "cup"), ("s2/mug_use_1", "s2", "mug")]
     ):
         write_shard(tmp_path, sequence, subject, thing, shard_values(3 + k, k), intent="lift")
-    finish_store(tmp_path, {"s1": torch.zeros(5, 3), "s2": torch.ones(5, 3)}, ["mug", "cup"], {"made": "here"})
+    finish_store(tmp_path, HAND, {"s1": torch.zeros(5, 3), "s2": torch.ones(5, 3)}, ["mug", "cup"], {"made": "here"})
     return tmp_path
 
 
@@ -57,7 +59,7 @@ def test_noisy_hands_fit_in_as_well_and_come_back_as_near_as_they_must(tmp_path)
     values["noisy"] = torch.cat([noisy.flatten(1), values["transl"] + 0.01 * torch.randn(n, 3)], 1)
     write_shard(tmp_path, "s1/mug_lift_1", "s1", "mug", values)
     assert sum(p.stat().st_size for p in tmp_path.rglob("*.safetensors")) < 400 * n
-    finish_store(tmp_path, {"s1": torch.zeros(5, 3)}, ["mug"], {})
+    finish_store(tmp_path, HAND, {"s1": torch.zeros(5, 3)}, ["mug"], {})
     hand = FramesStore.load(tmp_path).frames.noisy_hand()
     expected = axis_angle_to_matrix(noisy)
     for found, wanted in ((hand.global_orient, expected[:, 0]), (hand.hand_pose, expected[:, 1:])):
@@ -95,6 +97,6 @@ def test_a_card_without_names_is_damaged(store):
 
 
 def test_an_empty_store_is_told(tmp_path):
-    finish_store(tmp_path, {"s1": torch.zeros(5, 3)}, ["mug"], {})
+    finish_store(tmp_path, HAND, {"s1": torch.zeros(5, 3)}, ["mug"], {})
     with pytest.raises(UserError, match=r"The frames store .* is empty"):
         FramesStore.load(tmp_path)

@@ -44,7 +44,7 @@ def runs(grabber, tmp_path_factory) -> Path:
 def arguments(runs, tiny_dataset, cache_dir) -> list[str]:
     """For four grasps of the ring, those of the can being for validation."""
     few = ["n=4", "halo_samples=3", "draws=50", "pictures=0", "scenes=1", "processes=1", "reconstruction=false"]
-    data = ["data=frames", f"data.root={tiny_dataset}", "data.val_objects=[can]", "data.test_objects=[ring]"]
+    data = ["data=frames", f"data.root={tiny_dataset}", "data.split.val=[can]", "data.split.test=[ring]"]
     places = ["models=[newest]", f"runs={runs}", f"cache_dir={cache_dir}", f"data.cache_dir={cache_dir}"]
     return [*data, "data.near_points=32", *few, "simulated=0", *places]
 
@@ -207,8 +207,8 @@ def test_reconstruction_is_what_a_training_run_reports(folder, runs, tiny_datase
             f"data.root={tiny_dataset}",
             "data.near_points=32",
             f"data.cache_dir={cache_dir}",
-            "data.val_objects=[can]",
-            "data.test_objects=[ring]",
+            "data.split.val=[can]",
+            "data.split.test=[ring]",
         ],
     )
     data: GraspDataModule = instantiate(cfg.data, hand=HandModel.open())
@@ -283,7 +283,7 @@ def test_an_object_that_cannot_be_cut_is_reported_and_the_rest_goes_on(call, mad
     """CoACD has a second: enough for the can, which is convex, and not for the ring."""
     shutil.copytree(made / "parameters" / "ring", made / "parameters" / "can")
     endless = [f"physics.decomposition.{name}" for name in ("time_limit=2", "nodes=50", "iterations=100000")]
-    objects = ["data.test_objects=[ring,can]", "data.val_objects=[]"]
+    objects = ["data.split.test=[ring,can]", "data.split.val=[]"]
     output = call("models=[]", f"grasps={made / 'parameters'}", "simulated=2", *endless, *objects, exit_code=1)
     found = results(output)
     (sentence,) = found["failures"]
@@ -299,7 +299,7 @@ def test_an_object_that_cannot_be_cut_is_reported_and_the_rest_goes_on(call, mad
 
 def test_a_folder_without_an_object_is_reported_and_the_rest_goes_on(arguments, made, tmp_path):
     """By the command line: exit code 1, since some failed."""
-    objects = ["data.test_objects=[ring,can]", "data.val_objects=[]"]
+    objects = ["data.split.test=[ring,can]", "data.split.val=[]"]
     given = [*arguments, "models=[]", *objects, f"grasps={made / 'parameters'}", f"output={tmp_path / 'output'}"]
     command = [sys.executable, str(ROOT / "scripts" / "evaluate.py"), *given]
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)})

@@ -36,8 +36,8 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
         lambda folder: SDFGrid(*(Level((0.0,) * 3, 1.0, torch.zeros(16, 16, 16).half()) for _ in range(2))).save(
             folder / "a.safetensors"
         ),
-        lambda folder: finish_store(folder, {"s1": torch.zeros(778, 3)}, [], {}),
-        lambda folder: finish_store(folder, {"s1": torch.zeros(1, 3)}, [], {}, contact=torch.zeros(2000)),
+        lambda folder: finish_store(folder, "", {"s1": torch.zeros(778, 3)}, [], {}),
+        lambda folder: finish_store(folder, "", {"s1": torch.zeros(1, 3)}, [], {}, contact=torch.zeros(2000)),
         lambda folder: save_open_grasps(folder / "a.safetensors", load_open_grasps()),
         lambda folder: decomposition._save(
             decomposition._Found([np.zeros((2000, 3), np.float32)], None), folder / "a.safetensors"

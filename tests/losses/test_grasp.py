@@ -4,11 +4,12 @@ from torch.distributions import Normal
 
 from grabnet.cli.entry import compose
 from grabnet.data.datamodule import GraspDataModule
+from grabnet.data.splits import Split
 
 
 def test_object_points_left_out_change_no_weight_of_the_others(tiny_dataset, hand, cache_dir):
     """The term of a few points is their part of the published mean over all samples."""
-    places = {"root": str(tiny_dataset), "val_objects": ["can"], "test_objects": ["ring"], "cache_dir": str(cache_dir)}
+    places = {"root": str(tiny_dataset), "split": Split("object", ["can"], ["ring"]), "cache_dir": str(cache_dir)}
 
     def term(near_points):
         data = GraspDataModule(hand, near_points=near_points, **places)

@@ -55,7 +55,7 @@ def test_a_cluster_that_loses_a_worker_writes_what_one_process_writes(grab, made
 
         killer = threading.Thread(target=kill_one_half_way, daemon=True)
         killer.start()
-        failures = make(grab, output, cache_dir, "backend=dask", f"scheduler={cluster.scheduler_address}")
+        failures = make(grab, output, cache_dir, "backend=dask", f"dask_address={cluster.scheduler_address}")
         killer.join()
         assert failures == {}
         cluster.scheduler.allowed_failures = 1  # so that "die once" survives, whatever it was blamed for before
@@ -66,5 +66,5 @@ def test_a_cluster_that_loses_a_worker_writes_what_one_process_writes(grab, made
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
     monkeypatch.setattr("grabnet.preprocess.backends._PATIENCE", 0.5)
-    with pytest.raises(UserError, match=r"No dask scheduler answers at scheduler=tcp://127\.0\.0\.1:1 "):
+    with pytest.raises(UserError, match=r"No dask scheduler answers at dask_address=tcp://127\.0\.0\.1:1 "):
         next(by_dask(print, ["a"], "tcp://127.0.0.1:1"))

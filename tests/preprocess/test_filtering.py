@@ -15,8 +15,9 @@ from scipy.spatial.transform import Rotation
 from grabnet.body.hand import HandModel
 from grabnet.cli.checking import check
 from grabnet.cli.entry import CONFIGS
-from grabnet.data.frames import FramesStore, finish_store, write_shard
+from grabnet.data.frames import FramesStore, finish_store
 from grabnet.data.sequences import ContactTrack, RigidTrack
+from grabnet.data.sources.base import write_frames
 from grabnet.preprocess.filtering import Waterfall, frames_left
 from grabnet.preprocess.grasp_track import GraspTrack
 from tests.data.grab import random_sequence
@@ -120,8 +121,8 @@ def test_frames_in_the_store_show_the_scene_that_was_recorded(tmp_path):
     solid.apply_translation((0.1, -0.2, 0.05))
     centroid = solid.vertices.mean(0)
     frames = np.array([1, 4, 5])
-    write_shard(tmp_path, made.name, "s1", "mug", GraspTrack.right(made).frames(frames, centroid), intent="pass")
-    finish_store(tmp_path, {"s1": hand.v_template}, ["mug"], {})
+    write_frames(tmp_path, made.name, GraspTrack.right(made).frames(frames), torch.tensor(centroid).float())
+    finish_store(tmp_path, hand.fingerprint, {made.sbj_id: hand.v_template}, [made.obj_name], {})
     stored = FramesStore.load(tmp_path).frames
     assert stored.frame.tolist() == [1, 4, 5]
 

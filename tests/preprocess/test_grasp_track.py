@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from grabnet.body.hand import HandModel
 from grabnet.contact.annotator import ContactAnnotator
+from grabnet.data.sources.base import shard_values
 from grabnet.geometry.mesh import Mesh
-from grabnet.preprocess.grasp_track import GraspTrack, mirror_image
+from grabnet.preprocess.grasp_track import GraspTrack, mirror_image, mirrored
 from grabnet.preprocess.heights import gap_to_table
 from tests.data.grab import random_sequence
 
@@ -36,16 +37,16 @@ def test_contact_of_the_mirrored_scene_is_identical():
     middle = posed.mean(1).numpy() - spoon.centroid
     made = replace(made, object=replace(made.object, transl=middle.astype(np.float32)))
     track = GraspTrack.left_mirrored(made)
-    mirrored = mirror_image(Mesh(template, left.faces))
-    values = track.frames(np.arange(6), spoon.centroid)
+    reflected = mirror_image(Mesh(template, left.faces))
+    values = shard_values(track.frames(np.arange(6)), mirrored(spoon.centroid))
     turns = Rotation.from_rotvec(values["object_orient"].numpy()).as_matrix()
     again = right(
-        track.hand.parameters()._replace(transl=values["transl"]), torch.tensor(mirrored.vertices)
+        track.hand.parameters()._replace(transl=values["transl"]), torch.tensor(reflected.vertices)
     ).vertices.numpy()
     image = mirror_image(spoon)
     parts = 1 + left.weights.argmax(1).numpy()
     as_recorded = ContactAnnotator(spoon, template.numpy(), left.faces.numpy(), parts)
-    in_mirror = ContactAnnotator(image, mirrored.vertices, right.faces.numpy(), 1 + right.weights.argmax(1).numpy())
+    in_mirror = ContactAnnotator(image, reflected.vertices, right.faces.numpy(), 1 + right.weights.argmax(1).numpy())
     touched = 0
     for k in range(6):
         expected = as_recorded(made.object.to_local(posed)[k].numpy())

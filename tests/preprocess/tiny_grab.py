@@ -19,6 +19,7 @@ from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import Sequence, write_sequence
 from grabnet.geometry.mesh import Mesh, save_mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
+from grabnet.preprocess.run import preprocess
 from tests.body.conftest import BODY_PARENTS
 from tests.data.grab import random_sequence
 
@@ -156,8 +157,8 @@ def overrides(root: Path, models: Path, output: Path, cache_dir: Path, *more: st
     """Values for `scripts/preprocess.py`."""
     return [
         "data=grab",
-        f"grab.root={root}",
-        f"models.root={models}",
+        f"data.root={root}",
+        f"data.models={models}",
         f"output={output}",
         f"cache_dir={cache_dir}",
         "workers=1",
@@ -175,7 +176,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 def make(grab: tuple[Path, Path], output: Path, cache_dir: Path, *more: str) -> dict[str, str | None]:
     """Run with these values; why recordings failed."""
     config = compose("preprocess/preprocess", overrides(*grab, output, cache_dir, *more))
-    return {outcome.name: outcome.failure for outcome in instantiate(config, _convert_="all").run()}
+    return {outcome.name: outcome.failure for outcome in preprocess(instantiate(config, _convert_="all"))}
 
 
 def data_set(folder: Path) -> dict[str, bytes]:

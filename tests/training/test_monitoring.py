@@ -10,6 +10,7 @@ from PIL import Image
 from grabnet.body.anatomy import FINGERS, Anatomy
 from grabnet.cli.entry import compose, refusal
 from grabnet.data.datamodule import GraspDataModule
+from grabnet.data.splits import Split
 from grabnet.losses.grasp import RefineNetLoss
 from grabnet.training.modules import RefineNetTraining
 from grabnet.training.monitoring import GraspMonitor
@@ -21,7 +22,7 @@ WEIGHTS = {"vertex": 1.0, "edge": 1.0, "hand_to_object": 1.0, "kl": 0.0, "root":
 
 @pytest.fixture(scope="module")
 def data(tiny_dataset, hand, cache_dir) -> GraspDataModule:
-    names = {"val_objects": ["can", "block"], "test_objects": ["ring"]}
+    names = {"split": Split("object", ["can", "block"], ["ring"])}
     data = GraspDataModule(hand, str(tiny_dataset), **names, near_points=16, cache_dir=str(cache_dir))
     data.setup()
     return data

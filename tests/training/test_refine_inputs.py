@@ -5,6 +5,7 @@ import roma
 import torch
 
 from grabnet.data.datamodule import GraspDataModule
+from grabnet.data.splits import Split
 from grabnet.errors import UserError
 from grabnet.geometry.bps import BPS
 from grabnet.models.coarsenet import CoarseNet
@@ -14,7 +15,9 @@ from grabnet.training.refine_inputs import CoarseNetGuesses, PoseNoise
 
 @pytest.fixture(scope="module")
 def batch(hand, tiny_dataset, cache_dir):
-    data = GraspDataModule(hand, str(tiny_dataset), ["can"], ["ring"], near_points=8, cache_dir=str(cache_dir))
+    data = GraspDataModule(
+        hand, str(tiny_dataset), Split("object", ["can"], ["ring"]), near_points=8, cache_dir=str(cache_dir)
+    )
     data.setup()
     return data.assemble("train", torch.arange(96))
 

@@ -1,32 +1,32 @@
-"""The published GrabNet training data (ref. 2) as a frames store: what it stores per frame, we recompute."""
+"""The published GrabNet training data (ref. 2): poses are read, and what else it stores of a frame is recomputed."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from rich.progress import track
 from torch import Tensor
 
 from grabnet.body.hand import HandModel, HandParameters
-from grabnet.data.frames import finish_store, is_made_by, write_shard
 from grabnet.data.objects import object_files
+from grabnet.data.sources.base import FrameSource, HandFrames
 from grabnet.data.splits import SPLITS
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.geometry.queries import MeshQuery
-from grabnet.geometry.rotations import matrix_to_axis_angle
-from grabnet.io.files import existing, sha256
+from grabnet.io.files import existing
 from grabnet.io.npz import npz_rows, read_npy, read_npz
-from grabnet.io.provenance import provenance
 
 log = logging.getLogger(__name__)
 
+# Raise it when the same release would give other frames.
+FORMAT = 1
 # Frames read at a time from the arrays of vertices, which take tens of gigabytes.
 _ROWS = 512
 # Metres that stored vertices may lie off the hands that we make of the same parameters, or off the objects' meshes, on
@@ -38,84 +38,135 @@ _OBJECT = {"root_orient_obj_rotmat": (3, 3), "trans_obj": (3,)}
 _NOISY = "_f"
 
 
-class GrabnetRelease:
-    """Writes the frames store of the published data when called, unless it is there.
+class _Arrays(NamedTuple):
+    """What one split of the release shows, a row per frame, in the world.
+
+    true, noisy: hands; noisy is None where they are left out. rotations, transl: (N, 3, 3) and (N, 3) of the objects.
+    """
+
+    true: HandParameters
+    noisy: HandParameters | None
+    rotations: Tensor
+    transl: Tensor
+
+
+class GrabnetRelease(FrameSource):
+    """The published data.
 
     Args:
         release: folder with the published `data` in it, or that folder itself.
-        root: of the data set to write: the store is its folder `frames`.
         objects_dir: folder with a mesh for each object, such as GRAB's contact meshes.
         hand: the right hand that the data were made with, MANO's.
         noisy: keep the noisy hands, too, which RefineNet may start from (`StoredNoise`).
+
+    Raises:
+        UserError: here or when read: a file or array that is missing or misshapen; hands or objects that don't come
+            out as stored.
     """
 
-    def __init__(self, release: str, root: str, objects_dir: str, hand: HandModel, noisy: bool):
-        self.release, self.root, self.hand, self.noisy = Path(release), Path(root), hand, noisy
-        self.meshes = object_files(objects_dir)
-        self._mesh: Callable[[str], Mesh] = cache(lambda name: load_mesh(self.meshes[name]))
+    def __init__(self, release: str, objects_dir: str, hand: HandModel, noisy: bool):
+        self.release = Path(release)
+        self.objects_dir = objects_dir
+        self.hand = hand
+        self.noisy = noisy
+        self._mesh: Callable[[str], Mesh] = cache(lambda name: load_mesh(self._meshes[name]))
+        self._split: tuple[str, _Arrays] | None = None  # read last: each takes gigabytes
+        self._checks: dict[str, dict[str, dict[str, float]]] = {}
 
-    def __call__(self) -> None:
-        """Convert.
-
-        Raises:
-            UserError: a file or array that is missing or misshapen; hands or objects that don't come out as stored.
-        """
-        folder = existing(self.release, "Published data (data.prepare.release)")
-        folder = folder / "data" if (folder / "data").is_dir() else folder
-        names = {split: read_frame_names(folder / split / "frame_names.npz") for split in SPLITS}
-        recipe = {
-            "frames": {split: len(frames) for split, frames in names.items()},
-            "hand_sha256": sha256(self.hand.v_template.numpy()),
+    def recipe(self) -> dict[str, Any]:
+        return {
+            "source": "published GrabNet data",
+            "format": FORMAT,
+            "frames": {split: len(names) for split, names in self._names.items()},
             "noisy": self.noisy,
         }
-        if is_made_by(self.root / "frames", recipe):
-            return
-        subjects = read_subjects(folder / "sbj_info.npy", len(self.hand.v_template))
-        checks = {split: self._convert(folder / split, frames, subjects) for split, frames in names.items()}
-        for split, hands in checks.items():
-            for name, off in hands.items():
-                log.info("%s hands of %s come out %.4f mm off on average, %.4f at most.", name, split, *off.values())
-        objects = {frame.object for frames in names.values() for frame in frames}
-        facts = provenance(source="published GrabNet data", recipe=recipe, hand_vertices_mm=checks)
-        finish_store(self.root / "frames", subjects, objects, facts)
 
-    def _convert(
-        self, folder: Path, names: list[FrameName], subjects: dict[str, Tensor]
-    ) -> dict[str, dict[str, float]]:
-        """Write the shards of a split; how far its hands' vertices lie from ours."""
-        path = folder / f"grabnet_{folder.name}.npz"
-        for what, there, known in (("subjects", {n.subject for n in names}, subjects),
-                                   ("objects", {n.object for n in names}, self.meshes)):  # fmt: skip
+    def objects(self) -> Mapping[str, Path]:
+        return self._meshes
+
+    def subjects(self) -> Mapping[str, Tensor]:
+        return self._subjects
+
+    def sequences(self) -> Iterable[str]:
+        return self._rows
+
+    def read(self, sequence: str) -> HandFrames:
+        split, rows = self._rows[sequence]
+        names, arrays = self._names[split], self._arrays(split)
+        first = names[rows[0]]
+        return HandFrames(
+            subject=first.subject,
+            object=first.object,
+            intent=first.action,
+            frame=torch.tensor([names[row].frame for row in rows]),
+            hand=arrays.true.select(rows),
+            object_rotation=arrays.rotations[rows],
+            object_transl=arrays.transl[rows],
+            noisy=None if arrays.noisy is None else arrays.noisy.select(rows),
+        )
+
+    def facts(self) -> dict[str, Any]:
+        """How far the stored hand vertices lie from those that we make of the stored poses, millimetres."""
+        for split in SPLITS:
+            if split not in self._checks:  # its shards were written by an earlier call
+                self._arrays(split)
+        return {"hand_vertices_mm": {split: self._checks[split] for split in SPLITS}}
+
+    @cached_property
+    def _folder(self) -> Path:
+        folder = existing(self.release, "Published data (data.source.release)")
+        return folder / "data" if (folder / "data").is_dir() else folder
+
+    @cached_property
+    def _names(self) -> dict[str, list[FrameName]]:
+        return {split: read_frame_names(self._folder / split / "frame_names.npz") for split in SPLITS}
+
+    @cached_property
+    def _meshes(self) -> dict[str, Path]:
+        return object_files(self.objects_dir)
+
+    @cached_property
+    def _subjects(self) -> dict[str, Tensor]:
+        return read_subjects(self._folder / "sbj_info.npy", len(self.hand.v_template))
+
+    @cached_property
+    def _rows(self) -> dict[str, tuple[str, list[int]]]:
+        """Split and rows of each sequence, in the order of its frames; one split after the other."""
+        found: dict[str, tuple[str, list[int]]] = {}
+        for split, names in self._names.items():
+            for row in sorted(range(len(names)), key=lambda row: names[row].frame):
+                sequence = names[row].sequence
+                if found.setdefault(sequence, (split, []))[0] != split:
+                    raise UserError(f"{self._folder}: {sequence} is in {found[sequence][0]} and in {split}.")
+                found[sequence][1].append(row)
+        return found
+
+    def _arrays(self, split: str) -> _Arrays:
+        """All frames of a split, compared with the vertices stored beside them."""
+        if self._split is not None and self._split[0] == split:
+            return self._split[1]
+        self._split = None
+        path, names = self._folder / split / f"grabnet_{split}.npz", self._names[split]
+        for what, there, known in (("subjects", {n.subject for n in names}, self._subjects),
+                                   ("objects", {n.object for n in names}, self._meshes)):  # fmt: skip
             if unknown := sorted(there - known.keys()):
                 raise UserError(f"{path} shows {what} that are not known: {', '.join(unknown)}; there are {[*known]}.")
-        kinds = {"true": ""} | ({"noisy": _NOISY} if self.noisy else {})
         hands, checks = {}, {}
-        for kind, ending in kinds.items():
+        for kind, ending in ({"true": ""} | ({"noisy": _NOISY} if self.noisy else {})).items():
             arrays = (_parameters(path, name + ending, shape, len(names)) for name, shape in _HAND.items())
             hands[kind] = HandParameters(*arrays)
-            checks[kind] = self._compare_hands(path, "verts_rhand" + ending, names, hands[kind], subjects)
-        turns, places = (_parameters(path, name, shape, len(names)) for name, shape in _OBJECT.items())
-        rotations = self._object_rotations(path, names, turns, places)
-        rows_of: dict[str, list[int]] = {}
-        for row in sorted(range(len(names)), key=lambda row: names[row].frame):
-            rows_of.setdefault(names[row].sequence, []).append(row)
-        for sequence, rows in track(rows_of.items(), f"Writing {folder.name}", transient=True):
-            first = names[rows[0]]
-            origin = rotations[rows] @ torch.tensor(self._mesh(first.object).centroid) + places[rows]
-            shard = _about(hands["true"].select(rows), origin) | {
-                "object_orient": matrix_to_axis_angle(rotations[rows]),
-                "frame": torch.tensor([names[row].frame for row in rows]),
-            }
-            if self.noisy:
-                shard["noisy"] = torch.cat([*_about(hands["noisy"].select(rows), origin).values()], 1)
-            write_shard(self.root / "frames", sequence, first.subject, first.object, shard, intent=first.action)
-        return checks
+            off = checks[kind] = self._compare_hands(path, "verts_rhand" + ending, names, hands[kind])
+            log.info("%s hands of %s come out %.4f mm off on average, %.4f at most.", kind, split, *off.values())
+        turns, transl = (_parameters(path, name, shape, len(names)) for name, shape in _OBJECT.items())
+        rotations = self._object_rotations(path, names, turns, transl)
+        self._split = split, _Arrays(hands["true"], hands.get("noisy"), rotations, transl)
+        self._checks[split] = checks
+        return self._split[1]
 
-    def _compare_hands(
-        self, path: Path, array: str, names: list[FrameName], hand: HandParameters, subjects: dict[str, Tensor]
-    ) -> dict[str, float]:
+    def _compare_hands(self, path: Path, array: str, names: list[FrameName], hand: HandParameters) -> dict[str, float]:
         """Mean and largest distance of an array's hand vertices to those of our model, millimetres."""
-        v_template, number = torch.stack([*subjects.values()]), {name: k for k, name in enumerate(subjects)}
+        v_template = torch.stack([*self._subjects.values()])
+        number = {name: k for k, name in enumerate(self._subjects)}
         total, largest, start = 0.0, 0.0, 0
         for stored in npz_rows(path, array, _ROWS):
             part = slice(start, start + len(stored))
@@ -208,15 +259,6 @@ def read_subjects(path: Path, n_vertices: int) -> dict[str, Tensor]:
             raise UserError(f"{path}: rh_vtemp of {name} has shape {v_template.shape}, expected ({n_vertices}, 3).")
         hands[str(name)] = torch.as_tensor(v_template, dtype=torch.float32)
     return hands
-
-
-def _about(hand: HandParameters, origin: Tensor) -> dict[str, Tensor]:
-    """Hands as a shard has them, about (N, 3) origins."""
-    return {
-        "global_orient": matrix_to_axis_angle(hand.global_orient),
-        "hand_pose": matrix_to_axis_angle(hand.hand_pose).flatten(1),
-        "transl": hand.transl - origin,
-    }
 
 
 def _parameters(path: Path, name: str, shape: tuple[int, ...], n: int) -> Tensor:

@@ -10,21 +10,23 @@ from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from grabnet.data.objects import OBJECT_MESHES
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import save_mesh
 from grabnet.io.files import sha256, write_json
 from grabnet.io.provenance import provenance
-from grabnet.open.objects import OBJECTS, build_object, isosurface
+from grabnet.open.objects import OBJECTS, build_object
 
-MESHES = Path("tools/object_meshes/contact_meshes")
+# Raise it when any object would be meshed otherwise: all are then meshed again.
+FORMAT = 1
 PROVENANCE = Path("tools/object_meshes/open_objects.json")
 
 
 def write_objects(root: str | Path, processes: int = 2) -> list[Path]:
     """Mesh every object of `OBJECTS` under the dataset folder `root`, with a progress bar.
 
-    Files that the present code already wrote are kept, so an interrupted call goes on where it stopped.
-    `open_objects.json` beside the meshes tells version, recipe, sizes, counts and hashes.
+    Files of the present `FORMAT` are kept, so an interrupted call continues where it stopped.
+    `open_objects.json` beside the meshes records versions, format, sizes, counts and hashes.
 
     Returns:
         the path of each mesh, in the order of `OBJECTS`.
@@ -36,12 +38,12 @@ def write_objects(root: str | Path, processes: int = 2) -> list[Path]:
     if processes < 1:
         raise UserError(f"processes is {processes}; objects are meshed by at least 1.")
     try:
-        (root / MESHES).mkdir(parents=True, exist_ok=True)
+        (root / OBJECT_MESHES).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UserError(f"Cannot make {root / MESHES} ({error.strerror}); choose another root.") from error
+        raise UserError(f"Cannot make {root / OBJECT_MESHES} ({error.strerror}); choose another root.") from error
 
-    facts = provenance(recipe=recipe_hash())
-    written = _up_to_date(root, facts["recipe"])
+    facts = provenance(format=FORMAT)
+    written = _up_to_date(root)
     missing = [name for name in OBJECTS if name not in written]
     columns = (TextColumn("Objects"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
     # Spawned, not forked: a fork of a process with running threads (BLAS, torch) may hang.
@@ -54,18 +56,12 @@ def write_objects(root: str | Path, processes: int = 2) -> list[Path]:
             name, written[name] = future.result()
             write_json(root / PROVENANCE, facts | {"objects": {name: written[name] for name in sorted(written)}})
             progress.update(task, advance=1, description=name)
-    return [root / MESHES / f"{name}.ply" for name in OBJECTS]
-
-
-def recipe_hash() -> str:
-    """Digest of the source that decides the shapes: it changes whenever any object might."""
-    sources = sorted(Path(__file__).parent.glob("*.py"))
-    return sha256(*(path for path in sources if path.name not in ("writing.py", "sheet.py")), Path(isosurface.__file__))
+    return [root / OBJECT_MESHES / f"{name}.ply" for name in OBJECTS]
 
 
 def _write(name: str, root: Path) -> tuple[str, dict[str, Any]]:
     mesh = build_object(name)
-    path = root / MESHES / f"{name}.ply"
+    path = root / OBJECT_MESHES / f"{name}.ply"
     save_mesh(path, mesh)
     return name, {
         "vertices": len(mesh.vertices),
@@ -77,12 +73,12 @@ def _write(name: str, root: Path) -> tuple[str, dict[str, Any]]:
     }
 
 
-def _up_to_date(root: Path, recipe: str) -> dict[str, dict[str, Any]]:
-    """What the provenance file says of meshes that are still as the present recipe wrote them."""
+def _up_to_date(root: Path) -> dict[str, dict[str, Any]]:
+    """Records of the meshes that are still as the present format writes them."""
     try:
         said = json.loads((root / PROVENANCE).read_text(encoding="utf-8"))
-        objects = said["objects"] if said["recipe"] == recipe else {}
-        files = {name: root / MESHES / f"{name}.ply" for name in objects if name in OBJECTS}
+        objects = said["objects"] if said["format"] == FORMAT else {}
+        files = {name: root / OBJECT_MESHES / f"{name}.ply" for name in objects if name in OBJECTS}
         return {name: objects[name] for name, file in files.items() if sha256(file) == objects[name]["file"]}
     except (OSError, ValueError, KeyError, TypeError):
-        return {}  # nothing there yet, or not ours: everything is meshed anew
+        return {}  # nothing there yet, or not ours: everything is meshed again

@@ -25,6 +25,7 @@ from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
 from grabnet.io.files import sha256, write_json
 from grabnet.io.provenance import provenance
+from grabnet.io.recipes import claim
 from grabnet.open.body.subjects import open_subjects, write_subjects
 from grabnet.open.grasps.store import OPEN_GRASPS, OpenGrasps, load_open_grasps
 from grabnet.open.objects.writing import write_objects
@@ -38,6 +39,8 @@ from grabnet.open.sequences.setting import TABLE_HEIGHTS, Table
 from grabnet.open.sequences.uses import use_of
 from grabnet.open.sequences.writing import to_sequence, write_table
 
+# Raise it when the same seed and number would give another recording.
+FORMAT = 1
 SHARES = {"use": 0.43, "pass": 0.28, "lift": 0.2, "offhand": 0.09}  # of the recordings, about GRAB's
 _LIES_AS_MODELLED = 0.75  # share of draws in which the object stands as it was modelled
 _ATTEMPTS = 30
@@ -73,11 +76,15 @@ def build_sequences(
         raise UserError(f"--number {number} and --processes {processes} must be at least 1.")
     if unknown := sorted(set(subjects or ()) - set(grasps.subjects)):
         raise UserError(f"There is no subject {', '.join(unknown)}; choose from {', '.join(grasps.subjects)}.")
-    body_hash = sha256(OPEN_BODY / "SMPLX_NEUTRAL.npz", OPEN_BODY / "subjects.npz")
-    recipe = {"seed": seed, "subjects": list(subjects or grasps.subjects), "grasps_sha256": sha256(OPEN_GRASPS)}
-    recipe["body_sha256"] = body_hash
-    recipe["code_sha256"] = sha256(*sorted(path for path in Path(__file__).parent.glob("*.py") if path.stem != "film"))
-    _claim(root, recipe)
+    recipe = {
+        "format": FORMAT,
+        "seed": seed,
+        "subjects": list(subjects or grasps.subjects),
+        "grasps_sha256": sha256(OPEN_GRASPS),
+        "body_sha256": sha256(OPEN_BODY / "SMPLX_NEUTRAL.npz", OPEN_BODY / "subjects.npz"),
+    }
+    remedy = f"choose another --root, or delete {root / 'grab'} and {root / _REPORTS} first"
+    claim(root / _REPORTS / "recipe.json", recipe, remedy)
     write_objects(root, processes)
     body = BodyModel.open()
     write_subjects(root, body, open_subjects(body, grasps))
@@ -110,18 +117,6 @@ def build_sequences(
     )
     write_json(root / "sequences.json", summary)
     console.print(f"Wrote {made} sequences, {summary['frames']} frames, to {root / 'grab'}.")
-
-
-def _claim(root: Path, recipe: dict[str, Any]) -> None:
-    """Note what the sequences below `root` are made from; refuse to mix them with others."""
-    path = root / _REPORTS / "recipe.json"
-    if path.exists() and (there := json.loads(path.read_text(encoding="utf-8"))) != recipe:
-        other = ", ".join(key for key in recipe if there.get(key) != recipe[key])
-        raise UserError(
-            f"{root} holds sequences made with another {other}: choose another --root, or delete {root / 'grab'} and "
-            f"{root / _REPORTS} first."
-        )
-    write_json(path, recipe)
 
 
 def schedule(grasps: OpenGrasps, number: int, seed: int, subjects: Sequence[str]) -> list[Entry]:

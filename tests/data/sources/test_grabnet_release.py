@@ -12,7 +12,9 @@ from grabnet.cli.entry import compose
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.data.frames import FramesStore
 from grabnet.data.objects import OBJECT_MESHES, object_files
+from grabnet.data.sources.base import write_store
 from grabnet.data.sources.grabnet_release import GrabnetRelease, read_frame_names
+from grabnet.data.splits import Split
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
@@ -89,7 +91,7 @@ def meshes(tiny_dataset):
 
 
 def convert(release, root, meshes, hand=None, noisy=True):
-    GrabnetRelease(str(release), str(root), str(meshes), hand or HandModel.open(), noisy)()
+    write_store(root, GrabnetRelease(str(release), str(meshes), hand or HandModel.open(), noisy))
     return FramesStore.load(root / "frames")
 
 
@@ -127,7 +129,7 @@ def test_it_is_converted_once(tmp_path, meshes):
 def test_noisy_hands_are_what_refinenet_starts_from(tmp_path, meshes, cache_dir):
     shown = write_release(tmp_path / "release", meshes)
     store, hand = convert(tmp_path / "release", tmp_path / "root", meshes), HandModel.open()
-    split = {"val_objects": ["ring"], "test_objects": ["block"], "objects_dir": str(meshes)}
+    split = {"split": Split("object", ["ring"], ["block"]), "objects_dir": str(meshes)}
     data = GraspDataModule(hand, str(tmp_path / "root"), **split, near_points=8, cache_dir=str(cache_dir))
     data.setup()
     index = torch.arange(3)
@@ -143,9 +145,9 @@ def test_noisy_hands_are_what_refinenet_starts_from(tmp_path, meshes, cache_dir)
         (moved - turned.vertices).norm(dim=-1), (start - still.vertices).norm(dim=-1), atol=1e-4, rtol=0
     )
     overrides = tiny_overrides(tmp_path / "root", tmp_path / "run", cache_dir, "refinenet", "trainer.max_epochs=1")
-    swapped = [o for o in overrides if "_objects" not in o]
+    swapped = [o for o in overrides if "split" not in o]
     metrics = train(compose("train", [
-        *swapped, "data.val_objects=[ring]", "data.test_objects=[block]", f"objects.dir={meshes}",
+        *swapped, "data.split.val=[ring]", "data.split.test=[block]", f"objects.dir={meshes}",
         "source@model.source=published", "callbacks.grasps=null",
     ]))  # fmt: skip
     assert metrics["test/train/v2v"] > 0
@@ -156,7 +158,7 @@ def test_noisy_hands_may_be_left_out(tmp_path, meshes, cache_dir):
     store = convert(tmp_path / "release", tmp_path / "root", meshes, noisy=False)
     assert store.frames.noisy is None
     data = GraspDataModule(
-        HandModel.open(), str(tmp_path / "root"), ["ring"], ["block"], str(meshes), near_points=8,
+        HandModel.open(), str(tmp_path / "root"), Split("object", ["ring"], ["block"]), str(meshes), near_points=8,
         cache_dir=str(cache_dir),
     )  # fmt: skip
     data.setup()
@@ -225,7 +227,7 @@ def test_other_frame_names_are_told(tmp_path, name):
 
 
 def test_the_config_names_what_it_needs():
-    with pytest.raises(UserError, match=r"data\.prepare\.release must be given"):
+    with pytest.raises(UserError, match=r"data\.source\.release must be given"):
         compose("train", ["model=coarsenet", "data=grabnet_release", "run_dir=x", "objects.dir=y"])
-    cfg = compose("train", ["data=grabnet_release", "run_dir=x", "objects.dir=y", "data.prepare.release=z"])
-    assert cfg.data.prepare.objects_dir == "y" and cfg.data.prepare.hand.side == "right"
+    cfg = compose("train", ["data=grabnet_release", "run_dir=x", "objects.dir=y", "data.source.release=z"])
+    assert cfg.data.source.objects_dir == "y" and cfg.data.source.hand.side == "right"

@@ -11,10 +11,12 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
+from grabnet.data.objects import OBJECT_MESHES
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
-from grabnet.open.objects import OBJECTS, build_object, grasp_regions, prop
-from grabnet.open.objects.writing import MESHES, write_objects
+from grabnet.io.files import sha256
+from grabnet.open.objects import OBJECTS, build_object, grasp_regions, prop, writing
+from grabnet.open.objects.writing import write_objects
 
 # Longest and shortest side of the bounding box, cm: ranges of everyday things and toys.
 SIZES = {
@@ -82,14 +84,15 @@ HOLES = {
 @pytest.fixture(scope="session")
 def root(pytestconfig: pytest.Config) -> Path:
     """The objects as the command writes them; pytest's cache keeps them until their source changes."""
-    folder = Path(pytestconfig.cache.mkdir("open_objects"))
+    source = sha256(*sorted(Path(writing.__file__).parent.glob("*.py")))
+    folder = Path(pytestconfig.cache.mkdir(f"open_objects_{source[:8]}"))
     write_objects(folder)
     return folder
 
 
 @pytest.fixture(scope="session")
 def meshes(root: Path) -> dict[str, trimesh.Trimesh]:
-    return {name: load_mesh(root / MESHES / f"{name}.ply").trimesh() for name in OBJECTS}
+    return {name: load_mesh(root / OBJECT_MESHES / f"{name}.ply").trimesh() for name in OBJECTS}
 
 
 def test_the_objects_are_those_of_grab():
@@ -190,7 +193,7 @@ def test_handles_are_apart_from_the_rest(meshes, name, part):
 
 @pytest.mark.parametrize("name", ["cubesmall", "knife", "stamp"])
 def test_another_process_built_the_same_mesh(root, name):
-    assert build_object(name).sha256 == load_mesh(root / MESHES / f"{name}.ply").sha256
+    assert build_object(name).sha256 == load_mesh(root / OBJECT_MESHES / f"{name}.ply").sha256
 
 
 def test_unknown_name_lists_the_known():
@@ -199,13 +202,23 @@ def test_unknown_name_lists_the_known():
 
 
 def test_only_what_is_damaged_is_written_again(root):
-    damaged, kept = root / MESHES / "spheresmall.ply", root / MESHES / "mug.ply"
+    damaged, kept = root / OBJECT_MESHES / "spheresmall.ply", root / OBJECT_MESHES / "mug.ply"
     whole, before = damaged.read_bytes(), kept.stat().st_mtime_ns
     damaged.write_bytes(whole[:1000])
     paths = write_objects(root, processes=1)
     assert damaged.read_bytes() == whole
     assert kept.stat().st_mtime_ns == before
     assert [path.stem for path in paths] == list(OBJECTS)
+
+
+def test_another_format_is_meshed_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(writing, "OBJECTS", dict.fromkeys(("cubesmall", "spheresmall")))
+    meshes = write_objects(tmp_path, processes=1)
+    before = [path.stat().st_mtime_ns for path in meshes]
+    assert [path.stat().st_mtime_ns for path in write_objects(tmp_path, processes=1)] == before
+    monkeypatch.setattr(writing, "FORMAT", writing.FORMAT + 1)
+    after = [path.stat().st_mtime_ns for path in write_objects(tmp_path, processes=1)]
+    assert all(new > old for new, old in zip(after, before, strict=True))
 
 
 def test_bad_arguments_are_told_in_a_sentence(tmp_path):

@@ -17,8 +17,9 @@ from grabnet.geometry.mesh import save_mesh
 from grabnet.io.files import sha256, write_json
 from grabnet.io.npz import read_npz
 from grabnet.open.body.subjects import open_subjects, write_subjects
-from grabnet.open.grasps.store import load_open_grasps
+from grabnet.open.grasps.store import OPEN_GRASPS, load_open_grasps
 from grabnet.open.objects import build_object
+from grabnet.open.sequences import building
 from grabnet.open.sequences.building import TWO_HANDED, Entry, build_sequences, record, schedule
 from grabnet.open.sequences.uses import USES
 from grabnet.open.sequences.writing import write_table
@@ -174,6 +175,19 @@ def test_nonsense_is_refused(tmp_path):
         build_sequences(tmp_path, 0)
     with pytest.raises(UserError, match="no subject s11; choose from s1"):
         build_sequences(tmp_path, 1, subjects=["s11"])
-    write_json(tmp_path / "reports" / "recipe.json", {"seed": 1})
-    with pytest.raises(UserError, match=r"sequences made with another seed, .*choose another --root"):
+
+
+@pytest.mark.parametrize("changed", ["seed", "format"])
+def test_sequences_of_another_recipe_are_not_mixed(tmp_path, changed):
+    grasps = load_open_grasps()
+    recipe = {
+        "format": building.FORMAT,
+        "seed": 0,
+        "subjects": list(grasps.subjects),
+        "grasps_sha256": sha256(OPEN_GRASPS),
+        "body_sha256": sha256(OPEN_BODY / "SMPLX_NEUTRAL.npz", OPEN_BODY / "subjects.npz"),
+    }
+    write_json(tmp_path / "reports" / "recipe.json", recipe | {changed: 9})
+    sentence = rf"was started with {changed}=9, now it is {recipe[changed]}: choose another --root"
+    with pytest.raises(UserError, match=sentence):
         build_sequences(tmp_path, 1)

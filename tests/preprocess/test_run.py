@@ -9,6 +9,8 @@ import os
 import random
 import shutil
 import signal
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -22,8 +24,10 @@ from grabnet.cli.entry import compose
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.data.frames import FramesStore, shard_names, write_shard
 from grabnet.data.sequences import read_sequence, write_sequence
+from grabnet.data.splits import Split
 from grabnet.errors import UserError
 from grabnet.io.npz import read_npz
+from grabnet.preprocess.run import run
 from grabnet.training.run import train
 from tests.data.test_frames import shard_values
 from tests.faults import DiesPublishing
@@ -38,11 +42,11 @@ from tests.preprocess.tiny_grab import (
     make,
     overrides,
 )  # fmt: skip
-from tests.processes import finish
+from tests.processes import ROOT, finish
 from tests.tiny import tiny_overrides
 
 SCRIPT = "scripts/preprocess.py"
-SPLIT = {"val_objects": ["apple"], "test_objects": ["mug"]}
+SPLIT = {"split": Split("object", ["apple"], ["mug"])}
 N_LIFTED = N_FRAMES - RESTING - 1  # frames in which the ball is 5 mm up
 
 
@@ -107,9 +111,9 @@ def test_pictures_are_drawn(grab, tmp_path, cache_dir):
 
 
 def test_training_takes_it(made, tmp_path, cache_dir):
-    values = [o for o in tiny_overrides(made, tmp_path, cache_dir) if "_objects" not in o]
+    values = [o for o in tiny_overrides(made, tmp_path, cache_dir) if "split" not in o]
     more = ("data.batch_size=8", "trainer.max_epochs=1", "callbacks.grasps=null")
-    metrics = train(compose("train", [*values, *more, "data.val_objects=[apple]", "data.test_objects=[mug]"]))
+    metrics = train(compose("train", [*values, *more, "data.split.val=[apple]", "data.split.test=[mug]"]))
     assert metrics["test/train/v2v"] > 0
 
 
@@ -172,7 +176,7 @@ def test_labels_found_anew_are_compared_with_those_in_the_files(own_grab, made, 
     labels = sequence.contact.object.copy()
     labels[:, ::3][labels[:, ::3] == 55] = 54
     write_sequence(path, replace(sequence, contact=replace(sequence.contact, object=labels)))
-    assert make(own_grab, tmp_path / "data", cache_dir, "contact=recompute") == {}
+    assert make(own_grab, tmp_path / "data", cache_dir, "data.contact=recompute") == {}
     frames, expected = (FramesStore.load(folder / "frames").frames for folder in (tmp_path / "data", made))
     assert torch.equal(frames.transl, expected.transl) and torch.equal(frames.frame, expected.frame)
     found = np.concatenate([read_sequence(p).contact.object for p in sorted(own_grab[0].glob("grab/*/*.npz"))])
@@ -220,9 +224,35 @@ def test_what_the_left_hand_holds_arrives_as_if_the_right_one_held_it(own_grab, 
         torch.testing.assert_close(getattr(store.frames, value), getattr(expected, value), atol=1e-6, rtol=0)
     torch.testing.assert_close(store.v_template[1], original.v_template[0], atol=1e-6, rtol=0)
     # What is held out stays held out in the mirror.
-    data = GraspDataModule(HandModel.open(), str(tmp_path / "data"), ["ball"], ["mug"])
-    data.store = store
+    data = GraspDataModule(HandModel.open(), str(tmp_path / "data"), Split("object", ["ball"], ["mug"]))
     assert len(data._members("val")) == N_LIFTED and not len(data._members("train"))
+
+
+def test_a_store_is_continued_by_code_whose_comments_have_changed(grab, made, tmp_path, cache_dir):
+    """By the same command from a copy of the repository, in which every module ends in another comment."""
+    for name in ("grabnet", "scripts", "hydra_plugins"):
+        shutil.copytree(ROOT / name, tmp_path / "copy" / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("assets", "configs"):
+        (tmp_path / "copy" / name).symlink_to(ROOT / name)
+    for path in (tmp_path / "copy/grabnet").rglob("*.py"):
+        path.write_text(path.read_text() + "# Another comment.\n")
+    output = tmp_path / "data"
+    shutil.copytree(made, output)
+    (output / "frames/store.json").unlink()
+    (output / "frames/shards/s1/ball_lift_1.safetensors").unlink()
+    command = [sys.executable, tmp_path / "copy" / SCRIPT, *overrides(*grab, output, cache_dir)]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path / "copy")}
+    ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert data_set(output) == data_set(made)
+    assert json.loads((output / "run.json").read_text())["recordings"] == 1
+
+
+def test_a_store_of_another_format_is_refused(made, grab, tmp_path, cache_dir, monkeypatch):
+    shutil.copytree(made, tmp_path / "data")
+    monkeypatch.setattr("grabnet.preprocess.run.FORMAT", 0)
+    with pytest.raises(UserError, match=r"frames was started with format=\d, now it is 0: delete"):
+        make(grab, tmp_path / "data", cache_dir)
 
 
 @pytest.mark.parametrize("changed", ["settings", "recording", "removed", "foreign", "at work"])
@@ -232,12 +262,12 @@ def test_a_store_of_something_else_is_not_gone_on_with(changed, own_grab, tmp_pa
     shutil.rmtree(own_grab[0] / "grab/s2")
     if changed == "foreign":
         write_shard(output / "frames", "s1/mug_lift_1", "s1", "mug", shard_values(3, 0))
-        sentence = "holds frames that were not made from recordings"
+        sentence = "holds frames without a record of what they were made from"
     else:
         make(own_grab, output, cache_dir)
     path = own_grab[0] / "grab/s1/ball_pass_1.npz"
     if changed == "settings":
-        more, sentence = ["filter.min_lift=0.01"], r"was begun with filter\.min_lift=0\.005, now it is 0\.01: delete"
+        more, sentence = ["filter.min_lift=0.01"], r"was started with filter\.min_lift=0\.005, now it is 0\.01: delete"
     if changed == "recording":
         write_sequence(path, lifting("s1/ball_pass_1"))
         sentence = r"ball_pass_1\.safetensors was made when .*ball_pass_1\.npz was another file: delete the shard"
@@ -260,22 +290,22 @@ def test_a_store_of_something_else_is_not_gone_on_with(changed, own_grab, tmp_pa
     ("values", "sentence"),
     [
         (["data=opne"], "There is no data 'opne'; data can be grab, open."),
-        (["data=grab"], r"data=grab needs grab\.root="),
+        (["data=grab"], r"data\.models must be given"),
         (["backend=dask"], "belong together"),
-        (["scheduler=tcp://10.0.0.1:8786"], "belong together"),
+        (["dask_address=tcp://10.0.0.1:8786"], "belong together"),
         (["workers=0"], "workers is 0; it must be at least 1"),
-        (["contact=guess"], "contact is 'guess'; it can be stored or recompute."),
-        (["filter.height=floor"], r"filter\.height is 'floor'; it can be frame0 or table"),
+        (["data.contact=guess"], r"data\.contact is 'guess'; it can be stored, recompute\."),
+        (["filter.height=floor"], r"filter\.height is 'floor'; it can be frame0, table"),
         (["filter.every=0"], r"filter\.every is 0"),
         (["filter.min_lift=-0.01"], r"filter\.min_lift is -0\.01; it must be at least 0"),
         (["filter.min_other_fingers=5"], r"filter\.min_other_fingers is 5; there are 4"),
         (["fitler.every=2"], "Unknown key 'fitler' in the config; did you mean filter"),
-        (["open.root=/nowhere"], r"/nowhere holds no recordings .*: make them with python scripts/build_open\.py"),
+        (["data.root=/nowhere"], r"/nowhere holds no recordings .*: make them with python scripts/build_open\.py"),
     ],
 )
 def test_mistakes_are_told_at_once(values, sentence, tmp_path):
     with pytest.raises(Exception) as caught:  # Hydra wraps what constructors raise
-        instantiate(compose("preprocess/preprocess", [f"output={tmp_path}", *values]), _convert_="all").run()
+        run(instantiate(compose("preprocess/preprocess", [f"output={tmp_path}", *values]), _convert_="all"))
     mistake = caught.value if isinstance(caught.value, UserError) else caught.value.__cause__
     assert isinstance(mistake, UserError)
     with pytest.raises(UserError, match=sentence):
@@ -287,5 +317,5 @@ def test_missing_models_are_named_where_they_are_needed(grab, tmp_path, cache_di
     shutil.copyfile(grab[1] / "MANO_RIGHT.npz", tmp_path / "models/MANO_RIGHT.npz")
     here = (grab[0], tmp_path / "models")
     with pytest.raises(UserError, match="holds neither SMPLX_FEMALE nor smplx/SMPLX_FEMALE"):
-        make(here, tmp_path / "data", cache_dir, "contact=recompute")
+        make(here, tmp_path / "data", cache_dir, "data.contact=recompute")
     assert make(here, tmp_path / "data", cache_dir) == {}
