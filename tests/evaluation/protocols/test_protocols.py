@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import torch
@@ -18,6 +20,7 @@ from grabnet.evaluation.protocols.halo import Halo
 from grabnet.evaluation.protocols.penetration import Penetration
 from grabnet.evaluation.protocols.posture import Posture, joint_limits
 from grabnet.geometry.mesh import Mesh
+from grabnet.geometry.openings import boundary_loops
 from grabnet.geometry.queries import MeshQuery
 from tests.evaluation.shapes import ball, moved, scene
 
@@ -68,8 +71,8 @@ def test_an_open_hand_is_measured_as_the_closed_one(hand):
     solid = Mesh(block.vertices, block.faces)
     for model in (hand, HandModel.open("left")):
         flat = posed(model)
-        capped = HandLabels.of(model).anatomy.capped_faces.numpy()
-        expected = 1e6 * Mesh(flat.vertices[0], capped).volume
+        fan = [[rim[0], b, a] for rim in boundary_loops(model.faces.numpy()) for a, b in pairwise(rim[1:])]
+        expected = 1e6 * Mesh(flat.vertices[0], np.concatenate([flat.faces, fan])).volume
         assert Halo()(scene(solid, flat))["volume"][0] == pytest.approx(expected, rel=0.01)
         turned = Hands(vertices=flat.vertices, faces=flat.faces[:, ::-1].copy())
         assert Halo()(scene(solid, turned))["volume"][0] == pytest.approx(expected, rel=0.01)
