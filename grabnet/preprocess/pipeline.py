@@ -163,7 +163,7 @@ class Preprocessing:
         """Write down what differs from run to run."""
         peaks: dict[str, int] = {}
         for outcome in outcomes:
-            if outcome.worker:
+            if outcome.peak_bytes:
                 peaks[outcome.worker] = max(outcome.peak_bytes, peaks.get(outcome.worker, 0))
         frames = sum(
             headers[o.name]["counts"]["waterfall"]["in all"] for o in outcomes if not o.failure and o.name in headers
@@ -173,7 +173,7 @@ class Preprocessing:
             frames=frames,
             seconds=round(seconds, 3),
             peak_mb_of_workers={worker: round(n / 1e6) for worker, n in sorted(peaks.items())},
-            peak_mb_of_main=round(peak_memory() / 1e6),
+            peak_mb_of_main=round(peak_memory() / 1e6) or None,
             backend=self.backend,
             workers=self.workers,
         )
