@@ -3,11 +3,11 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: setup demo test lint clean-demo
+.PHONY: setup demo test test-lowest lint clean-demo
 
 setup: $(READY)
 
-$(READY): requirements.lock pyproject.toml
+$(READY): requirements.lock pyproject.toml setup.py
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "grabnet needs Python 3.11 or newer; name one with make PYTHON=...")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
@@ -33,6 +33,22 @@ test: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+
+# With the oldest versions that pyproject.toml allows, in an environment of its own: kernels and geometry, sampling,
+# files written, training steps, measures of grasps, command lines.
+LOWEST := .venv-lowest
+TESTS_LOWEST := tests/geometry tests/models tests/losses tests/visual tests/physics tests/evaluation/protocols \
+  tests/generation/test_export.py tests/generation/test_run.py tests/training/test_run.py tests/cli
+
+test-lowest: $(LOWEST)/.ready
+	OMP_NUM_THREADS=1 $(LOWEST)/bin/python -m pytest $(TESTS_LOWEST)
+
+$(LOWEST)/.ready: requirements-lowest.txt pyproject.toml setup.py
+	$(PYTHON) -m venv $(LOWEST)
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check -r requirements-lowest.txt
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	$(LOWEST)/bin/python -m pip check
+	touch $@
 
 lint: setup
 	$(BIN)/ruff check --fix .

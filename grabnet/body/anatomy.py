@@ -1,4 +1,4 @@
-"""What the vertices and joints of a hand mean: fingers, pads, fingertips, wrist opening, joint axes and limits.
+"""What the vertices and joints of a hand mean: fingers, pads, fingertips, joint axes and limits.
 
 Everything is computed from weights, faces, joints and rest geometry, so it holds for any hand in MANO's schema, right
 or left. Directions are named from the hand, not from its coordinate axes: distal (wrist to fingers), palmar (out of
@@ -15,7 +15,6 @@ from torch import Tensor
 
 from grabnet.body.hand import HandModel
 from grabnet.body.skeleton import HAND_JOINTS, MODEL_FINGERS
-from grabnet.geometry.openings import boundary_loops
 from grabnet.geometry.rotations import matrix_to_axis_angle
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
@@ -51,8 +50,6 @@ class Anatomy:
         tips: (5,) int64 vertices at the fingertips, in the order of `FINGERS`.
         pads: palmar vertices (int64) of each phalanx, "thumb1" (proximal) … "pinky3" (distal), of the palm
             ("palm_thenar", "palm_hypothenar", "palm_mcp") and the thumb's side of the index finger ("index_side").
-        wrist_loop: (L,) int64 vertices around the wrist opening, in order.
-        cap_faces: (L - 2, 3) int64 faces that close it; `capped_faces` are all faces, watertight, oriented outwards.
         angle_names: the 21 anatomical angles.
         angle_axes: (21, 3) unit axes in the rest pose. angle_joints: (21,) int64 joint that each angle turns.
         angle_limits: (21, 2) lowest and highest, radians.
@@ -62,9 +59,6 @@ class Anatomy:
     finger: Tensor
     tips: Tensor
     pads: dict[str, Tensor]
-    wrist_loop: Tensor
-    cap_faces: Tensor
-    capped_faces: Tensor
     angle_names: tuple[str, ...]
     angle_axes: Tensor
     angle_joints: Tensor
@@ -80,16 +74,11 @@ class Anatomy:
         finger = torch.tensor([-1, *(FINGERS.index(f) for f in MODEL_FINGERS for _ in range(3))], device=bone.device)
         tips = torch.stack([_tip(vertices, joints, bone, f) for f in FINGERS])
         axes = _axes(joints, vertices[tips[0]], frame, hand.is_right)
-        loop = boundary_loop(faces)
-        cap = torch.stack([loop[:1].expand(len(loop) - 2), loop[2:], loop[1:-1]], 1)
         return cls(
             bone=bone,
             finger=finger[bone],
             tips=tips,
             pads=_pads(vertices, vertex_normals(vertices, faces), joints, weights, tips, frame, axes),
-            wrist_loop=loop,
-            cap_faces=cap,
-            capped_faces=torch.cat([faces, cap]),
             angle_names=tuple(ANGLE_LIMITS),
             angle_axes=axes,
             angle_joints=torch.tensor(
@@ -142,18 +131,6 @@ class Anatomy:
         ]
         thumb = [thumb_flexion, thumb_abduction, thumb_twist, flexion[..., 13], flexion[..., 14]]
         return torch.stack([*fingers, *thumb], -1), left
-
-
-def boundary_loop(faces: Tensor) -> Tensor:
-    """(F, 3) faces of a mesh with one opening → (L,) its boundary vertices, along the direction of the faces' edges.
-
-    Raises:
-        ValueError: the boundary isn't one simple loop.
-    """
-    loops = boundary_loops(faces.cpu().numpy())
-    if len(loops) != 1:
-        raise ValueError(f"this mesh has {len(loops)} openings, where one simple loop is expected")
-    return torch.as_tensor(loops[0], device=faces.device)
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:

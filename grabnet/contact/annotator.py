@@ -19,8 +19,8 @@ from scipy.spatial import cKDTree
 from grabnet.geometry.intersections import Crossings, MovingMesh, find_crossings
 from grabnet.geometry.kernels import queries as kernels
 from grabnet.geometry.kernels.launch import launch
-from grabnet.geometry.lids import Lids
 from grabnet.geometry.mesh import Mesh
+from grabnet.geometry.openings import Lids
 
 
 @dataclass(frozen=True)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from filelock import FileLock, Timeout
 
 from grabnet.data.frames import read_header, shard_names, shard_path
 from grabnet.data.splits import MIRRORED_SUFFIX
 from grabnet.errors import UserError
 from grabnet.io.files import existing, sha256
 from grabnet.preprocess.recordings import RecordingSource
+
+LOCK = ".lock"  # stays in the store; only the run that holds the system's lock on it writes there
 
 
 @contextmanager
@@ -24,17 +26,13 @@ def alone_in(store: Path) -> Iterator[None]:
     """
     try:
         store.mkdir(parents=True, exist_ok=True)
-        handle = os.open(store, os.O_RDONLY)
+        lock = FileLock(store / LOCK).acquire(timeout=0)
+    except Timeout:
+        raise UserError(f"Another run is at work on {store}: wait for it, or choose another output=.") from None
     except OSError as error:
         raise UserError(f"{store} cannot be used ({error.strerror}): choose another output=.") from None
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise UserError(f"Another run is at work on {store}: wait for it, or choose another output=.") from None
+    with lock:
         yield
-    finally:
-        os.close(handle)
 
 
 def shards_done(store: Path, recordings: RecordingSource, names: Collection[str], mirrored: bool) -> set[str]:

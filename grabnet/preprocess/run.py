@@ -172,7 +172,7 @@ def _record(
         frames=frames,
         seconds=round(seconds, 3),
         peak_mb_of_workers={worker: round(n / 1e6) for worker, n in sorted(peaks.items())},
-        peak_mb_of_main=round(peak_memory() / 1e6),
+        peak_mb_of_main=round(peak_memory() / 1e6) or None,
         backend=config.backend,
         workers=config.workers,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import socket
 import sys
 import traceback
@@ -85,9 +84,14 @@ class SequenceWork:
 
 
 def peak_memory() -> int:
-    """Bytes of memory that this process has held at most."""
+    """Bytes of memory that this process has held at most; 0 where the system does not say (Windows)."""
     try:  # what getrusage says includes the process that this one was forked from
         status = Path("/proc/self/status").read_text()
         return 1024 * int(status.partition("VmHWM:")[2].split()[0])
     except OSError:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+        pass
+    try:
+        import resource
+    except ImportError:
+        return 0
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import fcntl
 import json
 import os
 import random
@@ -16,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from filelock import FileLock
 from hydra.utils import instantiate
 from safetensors.torch import load_file
 
@@ -27,6 +27,7 @@ from grabnet.data.sequences import read_sequence, write_sequence
 from grabnet.data.splits import Split
 from grabnet.errors import UserError
 from grabnet.io.npz import read_npz
+from grabnet.preprocess.resuming import LOCK
 from grabnet.preprocess.run import run
 from grabnet.training.run import train
 from tests.data.test_frames import shard_values
@@ -275,15 +276,15 @@ def test_a_store_of_something_else_is_not_gone_on_with(changed, own_grab, tmp_pa
         path.unlink()
         sentence = r"ball_pass_1\.safetensors is of a recording that .* does not hold"
     if changed == "at work":
-        handle = os.open(output / "frames", os.O_RDONLY)
-        fcntl.flock(handle, fcntl.LOCK_EX)
+        lock = FileLock(output / "frames" / LOCK)
+        lock.acquire()
         sentence = "Another run is at work on"
     before = files_of(output)
     with pytest.raises(UserError, match=sentence):
         make(own_grab, output, cache_dir, *more)
-    assert files_of(output) == before
+    assert files_of(output) == before | {f"frames/{LOCK}": b""}
     if changed == "at work":
-        os.close(handle)
+        lock.release()
 
 
 @pytest.mark.parametrize(
