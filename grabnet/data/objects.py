@@ -29,11 +29,11 @@ class ObjectSet(nn.Module):
         n_points: surface points sampled per object (ref. 2: 2048).
         seed: of the sampling.
         cache_dir: where signed-distance grids are kept; the user's cache folder when omitted.
-        measure: what `distances` are: to the "surface", signed, by the atlas; or unsigned to the nearest of the
+        distance_to: what `distances` are: to the "surface", signed, by the atlas; or unsigned to the nearest of the
             "samples", as published (ref. 2), by brute force.
 
     Raises:
-        UserError: another `measure`.
+        UserError: another `distance_to`.
 
     Attributes:
         names, meshes: as given.
@@ -49,12 +49,12 @@ class ObjectSet(nn.Module):
         n_points: int = 2048,
         seed: int = 0,
         cache_dir: str | Path | None = None,
-        measure: str = "surface",
+        distance_to: str = "surface",
     ):
         super().__init__()
-        if measure not in ("surface", "samples"):
-            raise UserError(f"data.measure is '{measure}'; it can be surface or samples.")
-        self.measure = measure
+        if distance_to not in ("surface", "samples"):
+            raise UserError(f"data.distance_to is '{distance_to}'; it can be surface or samples.")
+        self.distance_to = distance_to
         self.names, self.meshes = list(names), list(meshes)
         self.sha256 = sha256(*(mesh.sha256 for mesh in meshes))
         centroids = torch.stack([torch.as_tensor(mesh.centroid, dtype=torch.float32) for mesh in meshes])
@@ -81,18 +81,18 @@ class ObjectSet(nn.Module):
 
     @full_precision
     def distances(self, points: Tensor, objects: Tensor, rotations: Tensor) -> Tensor:
-        """Distances (B, N) in metres, as `measure` says.
+        """Distances (B, N) in metres, as `distance_to` says.
 
         Args:
             points: (B, N, 3) in the world's frame, about the centroid.
             objects: (B,) that each row is about, turned by rotations (B, 3, 3).
         """
-        if self.measure == "samples":
+        if self.distance_to == "samples":
             return nearest_point_distance(points, self.points[objects] @ rotations.mT)
         return self.signed_distances(points, objects, rotations)
 
     def signed_distances(self, points: Tensor, objects: Tensor, rotations: Tensor) -> Tensor:
-        """Signed distances (B, N) to the surface, whatever `measure` is; arguments as above."""
+        """Signed distances (B, N) to the surface, whatever `distance_to` is; arguments as above."""
         return self.atlas(points, objects, rotations, self.centroids[objects])
 
 

@@ -45,7 +45,7 @@ class StoredNoise:
         if batch.noisy is None:
             raise UserError(
                 "The frames store holds no noisy hands to start from: use data=grabnet_release "
-                "data.prepare.noisy=true, or source@model.source=noise."
+                "data.prepare.noisy=true, or source=noise."
             )
         return batch.noisy
 

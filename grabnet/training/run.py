@@ -99,6 +99,7 @@ def _fit(
         resumed = newest_whole(checkpoints) if cfg.resume else None
         record = provenance(
             seed=cfg.seed,
+            tags=list(cfg.tags),
             data=data.record(),
             hand_sha256=sha256(data.hand.v_template.numpy()),
             trained_from=module.trained_from,

@@ -116,7 +116,7 @@ def test_both_networks_go_on_end_to_end_from_trained_ones(tiny_dataset, tmp_path
         assert any(not torch.equal(a, b) for a, b in zip(before.parameters(), after.parameters(), strict=True))
     file = tmp_path / "coarsenet/model.safetensors"
     save_network(file, load_coarsenet(file), {"hand_sha256": "0" * 64})
-    guesses = ["model=refinenet", "source@model.source=coarsenet", f"model.source.coarsenet={file}"]
+    guesses = ["model=refinenet", "source=coarsenet", f"model.source.coarsenet={file}"]
     for more in (start, guesses):
         with pytest.raises(InstantiationException) as told:
             train(compose("train", [*overrides, *more, f"run_dir={tmp_path / 'other'}"]))

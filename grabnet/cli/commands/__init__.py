@@ -1,0 +1,66 @@
+"""The command `grabnet`: its commands, a module each, and the choice among them."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import sys
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+
+# Command: module, and what it does. Each module has a `main()` that reads the command line and returns the exit code;
+# only the chosen one is imported.
+COMMANDS = {
+    "sample": ("grabnet.cli.commands.sample", "draw grasps of your meshes"),
+    "train": ("grabnet.cli.commands.train", "train a network, or sweep over trainings"),
+    "evaluate": ("grabnet.cli.commands.evaluate", "measure grasps by the protocols of the paper and the field"),
+    "preprocess": ("grabnet.cli.commands.preprocess", "make training frames of recordings"),
+    "unpack": ("grabnet.cli.commands.unpack_grab", "unpack the zip files of GRAB's release"),
+    "import": ("grabnet.cli.commands.import_checkpoint", "convert a published checkpoint"),
+    "build": ("grabnet.cli.commands.build_open", "build the open hand, body, objects, grasps and recordings"),
+    "ship": ("grabnet.cli.commands.ship_weights", "make a small copy of a trained network to pass on"),
+    "benchmark": ("grabnet.cli.commands.benchmark", "time the code against plainer baselines"),
+}
+
+
+def main() -> int:
+    """Run the command that the first argument names, on the arguments after it.
+
+    Returns:
+        the command's exit code; 2 where there is no such command.
+    """
+    name, *arguments = sys.argv[1:] or ["--help"]
+    if name == "-sc":  # shell completion knows programs, not their commands: the line says which is meant
+        _, name, *rest = [*os.environ.get("COMP_LINE", "").split(), "", ""]
+        if name not in COMMANDS or arguments != ["query=bash"]:
+            name, rest = "train", []
+        os.environ["COMP_LINE"] = " ".join(["grabnet", *rest])
+        arguments = ["-sc", *arguments]
+    if name in ("--help", "-h", "help"):
+        print(_help())
+        return 0
+    if name == "--version":
+        print(f"grabnet {_version()}")
+        return 0
+    if name not in COMMANDS:
+        close = difflib.get_close_matches(name, COMMANDS, n=1)
+        hint = f"did you mean {close[0]}?" if close else f"it can be {', '.join(COMMANDS)}."
+        print(f"error: There is no command '{name}'; {hint}", file=sys.stderr)
+        return 2
+    sys.argv = [f"grabnet {name}", *arguments]
+    return import_module(COMMANDS[name][0]).main()
+
+
+def _help() -> str:
+    from grabnet.cli.help import EXIT_CODES
+
+    lines = [f"  {name:<12}{about}" for name, (_, about) in COMMANDS.items()]
+    usage = "usage: grabnet COMMAND [arguments]; grabnet COMMAND --help explains a command's values"
+    return "\n".join([usage, "", *lines, "", EXIT_CODES])
+
+
+def _version() -> str:
+    try:
+        return version("grabnet")
+    except PackageNotFoundError:
+        return "(not installed)"

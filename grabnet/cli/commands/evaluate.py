@@ -1,0 +1,37 @@
+"""The command `evaluate`."""
+
+from __future__ import annotations
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+
+from grabnet.cli.entry import hydra_entry
+
+PATHS = (
+    "coarsenet",
+    "refinenet",
+    "runs",
+    "output",
+    "cache_dir",
+    "objects.dir",
+    "hand_model.path",
+    "data.root",
+    "data.objects_dir",
+    "data.cache_dir",
+    "data.prepare.root",
+    "data.prepare.release",
+    "data.prepare.objects_dir",
+    "source.coarsenet",
+)
+
+
+@hydra_entry("evaluate", paths=PATHS, lists=("grasps",))
+def main(cfg: DictConfig) -> int:
+    """Measure grasps of networks or of any other method, and write a report, tables and contact maps.
+
+    grabnet evaluate [coarsenet=<run>] [refinenet=<run>] [grasps=<folder>] [output=DIR] [any value below]
+    """
+    from grabnet.evaluation.run import evaluate
+
+    evaluate(instantiate(cfg, _convert_="object"))
+    return 0

@@ -1,0 +1,21 @@
+"""The command `sample`."""
+
+from __future__ import annotations
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+
+from grabnet.cli.entry import hydra_entry
+
+PATHS = ("output", "coarsenet", "refinenet", "runs", "hand_model", "cache_dir")
+
+
+@hydra_entry("sample", paths=PATHS, lists=("mesh", "format"))
+def main(cfg: DictConfig) -> int:
+    """Draw grasps of meshes, and write them with pictures and a page.
+
+    grabnet sample mesh=cup.obj [n=20] [output=DIR] [any value below]
+    """
+    from grabnet.generation.run import sample
+
+    return int(sample(instantiate(cfg, _convert_="all")) > 0)
