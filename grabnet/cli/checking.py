@@ -75,7 +75,7 @@ def _check_target(node: DictConfig, path: str) -> None:
             continue
         if not isinstance(value, DictConfig):
             if not _fits(value, hints[key]):
-                raise UserError(f"{name}={value!r} is of the wrong type: it must be {_in_words(hints[key])}.")
+                raise UserError(f"{name}={_shown(value)} is of the wrong type: it must be {_in_words(hints[key])}.")
         elif "_target_" in value:
             made, expected = _located(value["_target_"], name), _made(hints[key], bool(value.get("_partial_")))
             if expected is not Any and all(map(inspect.isclass, (made, expected))) and not issubclass(made, expected):
@@ -130,6 +130,13 @@ def _fits(value: Any, hint: Any) -> bool:
         return isinstance(value, hint)
     except TypeError:  # a protocol that only a type checker can compare with
         return True
+
+
+def _shown(value: Any) -> str:
+    """A value as one types it."""
+    if value is None:
+        return "null"
+    return str(value).lower() if isinstance(value, bool) else repr(value)
 
 
 def _in_words(hint: Any) -> str:

@@ -2,8 +2,8 @@
 
 Exit codes of every command:
     0: all was done.
-    1: some of it failed, as the lines "error: …" say, and the rest was done.
-    2: nothing was done, or it had to end, for the reason in the last line, "error: …".
+    1: what the lines "error: …" name failed, and the rest was done.
+    2: it could not start, or had to end, for the reason in the last line, "error: …".
 """
 
 from __future__ import annotations
@@ -67,8 +67,10 @@ def hydra_entry(
     def decorate(main: Main) -> Callable[[], int]:
         @functools.wraps(main)
         def entry() -> int:
-            sys.argv[1:] = quoted(sys.argv[1:], paths, lists)
-            arguments = get_args_parser().parse_args()
+            given = quoted(sys.argv[1:], paths, lists)
+            arguments = get_args_parser().parse_intermixed_args(given)
+            # Hydra reads values only before or after its options.
+            sys.argv[1:] = [*(a for a in given if a not in arguments.overrides), *arguments.overrides]
             codes = [0]
 
             @functools.wraps(main)

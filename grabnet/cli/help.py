@@ -12,8 +12,8 @@ from hydra.types import RunMode
 from grabnet.cli.mistakes import options
 
 EXIT_CODES = """\
-Exit codes: 0: all was done. 1: some of it failed, as the lines "error: …" say, and the rest was done. 2: nothing was
-done, or it had to end, for the reason in the last line, "error: …"."""
+Exit codes: 0: all was done. 1: what the lines "error: …" name failed, and the rest was done. 2: it could not start, or
+had to end, for the reason in the last line, "error: …"."""
 _HYDRA = """\
 Hydra's own options: --cfg job prints the values as composed, --info the files that they come from; -m sweeps over
 comma-separated values; --config-dir DIR adds a folder of your own config files; -sc install=bash completes keys and

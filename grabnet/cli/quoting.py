@@ -36,7 +36,7 @@ def quoted(arguments: Sequence[str], paths: Collection[str], lists: Collection[s
 def _quoted(argument: str, may_be_list: bool, sweeps: bool) -> str:
     key, _, value = argument.partition("=")
     override = _parsed(argument)
-    if override is not None and (_is_as_typed(override) or (override.is_sweep_override() and sweeps)):
+    if override is not None and (_is_as_typed(override, may_be_list) or (override.is_sweep_override() and sweeps)):
         return argument
     listed = value.startswith("[") and value.endswith("]") and may_be_list
     if not (may_be_list or sweeps):
@@ -53,12 +53,12 @@ def _parsed(argument: str) -> Override | None:
         return None
 
 
-def _is_as_typed(override: Override) -> bool:
+def _is_as_typed(override: Override, may_be_list: bool) -> bool:
     """Whether Hydra reads null, a file name, or a list of these, without a ~ to expand."""
     if override.is_sweep_override():
         return False
     value = override.value()
-    items = value if isinstance(value, list) else [value]
+    items = value if isinstance(value, list) and may_be_list else [value]
     return all(item is None or (isinstance(item, str) and not item.startswith("~")) for item in items)
 
 

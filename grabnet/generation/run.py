@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from hydra.utils import instantiate
 
 from grabnet.body.hand import HandModel
 from grabnet.data.objects import MESH_SUFFIXES
@@ -48,7 +49,7 @@ class Sampling:
     coarsenet: str | None
     refinenet: str | None
     runs: str
-    hand_model: str | None
+    hand_model: dict[str, Any]
     cache_dir: str | None
     batch_size: int
     n_turns: int
@@ -128,7 +129,7 @@ def sample(wanted: Sampling) -> int:
 
 def _grabber(wanted: Sampling) -> tuple[Grabber, dict[str, Any]]:
     """The networks with their hand, and which they are."""
-    hand = HandModel(wanted.hand_model) if wanted.hand_model else HandModel.open("right")
+    hand: HandModel = instantiate(wanted.hand_model)
     if wanted.betas and len(wanted.betas) > hand.shapedirs.shape[-1]:
         raise UserError(f"betas has {len(wanted.betas)} values; this hand model has {hand.shapedirs.shape[-1]}.")
     paths = dict(

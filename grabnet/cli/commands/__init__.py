@@ -30,12 +30,15 @@ def main() -> int:
         the command's exit code; 2 where there is no such command.
     """
     name, *arguments = sys.argv[1:] or ["--help"]
-    if name == "-sc":  # shell completion knows programs, not their commands: the line says which is meant
-        _, name, *rest = [*os.environ.get("COMP_LINE", "").split(), "", ""]
-        if name not in COMMANDS or arguments != ["query=bash"]:
-            name, rest = "train", []
-        os.environ["COMP_LINE"] = " ".join(["grabnet", *rest])
-        arguments = ["-sc", *arguments]
+    if name in ("-sc", "--shell-completion"):
+        # Completion knows programs, not their commands: the line that is typed says which command is meant.
+        program, *words = os.environ.get("COMP_LINE", "").split(" ")
+        if arguments == ["query=bash"] and len(words) < 2:
+            print(" ".join(COMMANDS))
+            return 0
+        arguments = [name, *arguments]
+        name, *words = words or ["train"]
+        os.environ["COMP_LINE"] = " ".join([program, *words])
     if name in ("--help", "-h", "help"):
         print(_help())
         return 0

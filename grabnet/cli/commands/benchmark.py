@@ -7,8 +7,10 @@ from omegaconf import DictConfig
 
 from grabnet.cli.entry import hydra_entry
 
+PATHS = ("output",)
 
-@hydra_entry("benchmark", paths=("output",))
+
+@hydra_entry("benchmark", paths=PATHS)
 def main(cfg: DictConfig) -> int:
     """Time the code against plainer baselines.
 

@@ -23,9 +23,10 @@ PATHS = (
     "data.prepare.objects_dir",
     "source.coarsenet",
 )
+LISTS = ("grasps",)
 
 
-@hydra_entry("evaluate", paths=PATHS, lists=("grasps",))
+@hydra_entry("evaluate", paths=PATHS, lists=LISTS)
 def main(cfg: DictConfig) -> int:
     """Measure grasps of networks or of any other method, and write a report, tables and contact maps.
 

@@ -7,10 +7,11 @@ from omegaconf import DictConfig
 
 from grabnet.cli.entry import hydra_entry
 
-PATHS = ("output", "coarsenet", "refinenet", "runs", "hand_model", "cache_dir")
+PATHS = ("output", "coarsenet", "refinenet", "runs", "hand_model.path", "cache_dir")
+LISTS = ("mesh", "format")
 
 
-@hydra_entry("sample", paths=PATHS, lists=("mesh", "format"))
+@hydra_entry("sample", paths=PATHS, lists=LISTS)
 def main(cfg: DictConfig) -> int:
     """Draw grasps of meshes, and write them with pictures and a page.
 
