@@ -93,10 +93,11 @@ def hydra_entry(
                 return result
 
             try:
-                folder, name = _place(arguments.config_name or config_name, arguments.config_path)
+                folder, name = _place(config_name, arguments)
                 with _hydra(folder, arguments.config_dir) as composer:
                     if arguments.help:
-                        print(command_help(composer, name, arguments.overrides, inspect.getdoc(main) or ""))
+                        with _in_sentences(composer, arguments.overrides):
+                            print(command_help(composer, name, arguments.overrides, inspect.getdoc(main) or ""))
                         return 0
                     if _runs(arguments):
                         _rehearse(composer, name, arguments.overrides, arguments.multirun)
@@ -127,13 +128,14 @@ def compose(config_name: str, overrides: Sequence[str]) -> DictConfig:
         return _composed(composer, name, overrides)
 
 
-def _place(config_name: str, config_path: str | None = None) -> tuple[Path, str]:
-    """The folder that a config is composed from, and its name in it."""
-    if config_path is None:
-        return (CONFIGS / config_name).parent, (CONFIGS / config_name).name
-    if not Path(config_path).is_absolute():
-        raise UserError(f"--config-path {config_path} must be absolute; --config-dir only adds a folder to ours.")
-    return Path(config_path), config_name
+def _place(config_name: str, arguments: Namespace | None = None) -> tuple[Path, str]:
+    """The folder that a config is composed from, and its name in it; or others, named by Hydra's options."""
+    folder, name = (CONFIGS / config_name).parent, (CONFIGS / config_name).name
+    if arguments is None:
+        return folder, name
+    if arguments.config_path is not None and not Path(arguments.config_path).is_absolute():
+        raise UserError(f"--config-path {arguments.config_path} must be absolute; --config-dir adds a folder to ours.")
+    return Path(arguments.config_path or folder), arguments.config_name or name
 
 
 @contextmanager
@@ -203,18 +205,25 @@ def _choices(override: Override) -> list[str]:
 
 
 def _composed(composer: Hydra, config_name: str, arguments: Sequence[str]) -> DictConfig:
-    overrides = _parsed(arguments)
-    loader = composer.config_loader
-    refuse_choices(loader, overrides)
-    try:
+    with _in_sentences(composer, arguments):
         cfg = hydra.compose(config_name, list(arguments), return_hydra_config=True)
         HydraConfig.instance().set_config(cfg)  # for interpolations such as ${hydra:runtime.choices.model}
-    except (HydraException, OmegaConfBaseException) as error:
-        raise UserError(sentence(error, loader, [o.key_or_group for o in overrides])) from None
     with open_dict(cfg):
         del cfg["hydra"]
     check(cfg)
     return cfg
+
+
+@contextmanager
+def _in_sentences(composer: Hydra, arguments: Sequence[str]) -> Iterator[None]:
+    """Raise as `UserError` what Hydra finds wrong with the arguments that are composed in the block."""
+    overrides = _parsed(arguments)
+    refuse_choices(composer.config_loader, overrides)
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException) as error:
+        keys = [override.key_or_group for override in overrides]
+        raise UserError(sentence(error, composer.config_loader, keys)) from None
 
 
 def _try_folder(is_sweep: bool) -> None:

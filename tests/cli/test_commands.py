@@ -174,6 +174,9 @@ def test_a_folder_of_your_own_configs_is_searched(tmp_path):
         assert run("train.py", *arguments, "--cfg", "job", "-p", "seed").stdout.strip() == seed
     assert run("train.py", *more, "experiment=none").stderr.startswith("error: There is no experiment 'none'; ")
     assert run("train.py", "--config-dir=/nowhere").stderr == "error: --config-dir /nowhere is no folder.\n"
+    assert run("train.py", "model=corsenet", "--help").stderr.startswith(
+        "error: There is no model 'corsenet'; model can"
+    )
     assert run("train.py", "--config-name=x").stderr == "error: There is no config 'x'.\n"
 
 

@@ -33,7 +33,7 @@ def runs(grabber, tmp_path_factory) -> Path:
 def call(runs, cache_dir, tmp_path):
     """Sample with the config's own values, but for a few grasps and those given."""
     config = OmegaConf.to_container(OmegaConf.load(CONFIGS / "sample.yaml"))
-    defaults = {k: v for k, v in config.items() if k not in ("_target_", "defaults", "hydra")}
+    defaults = {k: v for k, v in config.items() if k not in ("_target_", "_recursive_", "defaults", "hydra")}
     few = {"n": 2, "runs": str(runs), "cache_dir": str(cache_dir), "output": str(tmp_path / "out")}
     defaults["hand_model"] = {"_target_": "grabnet.body.hand.HandModel.open", "side": "right"}
     quick = {"sheet": 0, "page": 0, "format": None, "batch_size": 4}

@@ -175,8 +175,9 @@ def test_a_run_goes_on_with_the_settings_it_began_with(tiny_dataset, tmp_path, c
     (tmp_path / "provenance.json").write_text("{}")
     with pytest.raises(UserError, match=r"provenance\.json is missing, damaged or of an older version .*resume=false"):
         run("trainer.max_epochs=3")
-    run("trainer.max_epochs=1", "model.width=16", "resume=false")
+    run("trainer.max_epochs=1", "model.width=16", "resume=false", "tags=[narrow,short]")
     assert load_coarsenet(tmp_path).pose.in_features == 16
+    assert read_provenance(tmp_path)["tags"] == ["narrow", "short"]
 
 
 def test_a_run_without_time_for_an_epoch_says_so(tiny_dataset, tmp_path, cache_dir):
