@@ -1,17 +1,8 @@
-"""Timings beside those of a plainer way: `python scripts/benchmark.py suite=sdf`; values in configs/benchmark.yaml."""
+"""The command `grabnet benchmark`; its values are explained by `--help`."""
 
-from __future__ import annotations
+import sys
 
-from hydra.utils import instantiate
-from omegaconf import DictConfig
-
-from grabnet.cli.entry import hydra_entry
-
-
-@hydra_entry("benchmark")
-def main(cfg: DictConfig) -> None:
-    instantiate(cfg, _convert_="all").run()
-
+from grabnet.commands.benchmark import main
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -6,7 +6,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from grabnet.benchmarks.run import Benchmark
+from grabnet.benchmarks.run import BenchmarkConfig
 from grabnet.benchmarks.scene import HandsOnObjects
 from grabnet.benchmarks.timing import Case
 from grabnet.geometry.bps import BPS
@@ -16,7 +16,7 @@ from grabnet.geometry.queries import MeshQuery
 N_SAMPLES = 10_000
 
 
-def cases(settings: Benchmark) -> list[Case]:
+def cases(settings: BenchmarkConfig) -> list[Case]:
     scene = HandsOnObjects.make(settings.batch, settings.seed, settings.device)
     bps = BPS().to(settings.device)
     samples = [mesh.sample_surface(N_SAMPLES)[0] for mesh in scene.meshes]

@@ -8,7 +8,7 @@ import trimesh
 from joblib import Parallel, delayed
 from scipy.spatial import cKDTree
 
-from grabnet.benchmarks.run import Benchmark
+from grabnet.benchmarks.run import BenchmarkConfig
 from grabnet.benchmarks.scene import hands, meshes
 from grabnet.benchmarks.timing import Case
 from grabnet.body.anatomy import Anatomy
@@ -24,7 +24,7 @@ _SUNK = 0.003
 _PASSES = 8
 
 
-def cases(settings: Benchmark) -> list[Case]:
+def cases(settings: BenchmarkConfig) -> list[Case]:
     thing = meshes()[1]
     frames, faces, parts = _bodies(thing, settings.batch, settings.seed)
     annotator = ContactAnnotator(thing, frames[0], faces, parts, EPSILON)

@@ -7,7 +7,7 @@ import io
 
 import torch
 
-from grabnet.benchmarks.run import Benchmark
+from grabnet.benchmarks.run import BenchmarkConfig
 from grabnet.benchmarks.scene import hands
 from grabnet.benchmarks.timing import Case
 from grabnet.body.hand import OPEN_HANDS, HandParameters
@@ -15,7 +15,7 @@ from grabnet.errors import UserError
 from grabnet.geometry.rotations import matrix_to_axis_angle
 
 
-def cases(settings: Benchmark) -> list[Case]:
+def cases(settings: BenchmarkConfig) -> list[Case]:
     try:
         import smplx
     except ImportError:

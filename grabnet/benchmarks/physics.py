@@ -7,7 +7,7 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from grabnet.benchmarks.run import Benchmark
+from grabnet.benchmarks.run import BenchmarkConfig
 from grabnet.benchmarks.scene import hands, meshes
 from grabnet.benchmarks.timing import Case
 from grabnet.evaluation.protocols.drop_test import Simulator
@@ -15,11 +15,11 @@ from grabnet.io.shipped import shipped
 from grabnet.open.grasps.stability import StabilityConfig, cut
 from grabnet.physics.simulation import Simulation
 
-CONFIG = shipped("configs") / "evaluation" / "physics.yaml"
+CONFIG = shipped("configs") / "evaluate.yaml"
 
 
-def cases(settings: Benchmark) -> list[Case]:
-    config = instantiate(OmegaConf.load(CONFIG))
+def cases(settings: BenchmarkConfig) -> list[Case]:
+    config = instantiate(OmegaConf.load(CONFIG).physics)
     thing = meshes()[1]
     hand, parameters = hands(settings.batch, torch.Generator().manual_seed(settings.seed), "cpu")
     vertices = hand(parameters).vertices.numpy()

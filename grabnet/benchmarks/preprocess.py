@@ -15,7 +15,7 @@ from hydra.utils import instantiate
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from grabnet.benchmarks.run import Benchmark
+from grabnet.benchmarks.run import BenchmarkConfig
 from grabnet.benchmarks.scene import meshes
 from grabnet.benchmarks.timing import Case
 from grabnet.body.hand import OPEN_HANDS, HandModel
@@ -38,7 +38,7 @@ N_LOADED, N_SHARDS, N_PUBLISHED = 300_000, 1334, 3_000
 N_WRITTEN = 100
 
 
-def cases(settings: Benchmark) -> list[Case]:
+def cases(settings: BenchmarkConfig) -> list[Case]:
     folder = Path(tempfile.mkdtemp(prefix="grabnet-benchmark-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     thing = meshes()[1]

@@ -1,4 +1,4 @@
-"""Running a suite of benchmarks: what `scripts/benchmark.py` does."""
+"""Run a suite of benchmarks: the command `benchmark`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from grabnet.benchmarks.timing import Case, Timing, measure
+from grabnet.cli.checks import at_least, one_of
 from grabnet.errors import UserError
 from grabnet.io.files import write_json
 from grabnet.io.provenance import provenance
@@ -32,7 +33,7 @@ BATCH = {name: 256 if name == "train" else 32 for name in SUITES}
 
 
 @dataclass(frozen=True)
-class Benchmark:
+class BenchmarkConfig:
     """What to time; the values of `configs/benchmark.yaml`, which explains them.
 
     Raises:
@@ -51,26 +52,28 @@ class Benchmark:
     def __post_init__(self):
         if self.suite not in SUITES:
             raise UserError(f"There is no suite '{self.suite}'; choose from {', '.join(SUITES)}.")
-        for name, least in {"runs": 2, "batch": 1, "threads": 1}.items():
-            if (value := getattr(self, name)) is not None and value < least:
-                raise UserError(f"{name}={value} is too small; it must be at least {least}.")
+        at_least(self, runs=2, batch=1, threads=1, seed=0)
+        one_of(self, device=("cpu", "cuda"))
+        if self.device == "cuda" and not torch.cuda.is_available():
+            raise UserError("device is 'cuda', but torch finds no CUDA device here; use cpu.")
         if self.batch is None:
             object.__setattr__(self, "batch", BATCH[self.suite])
-        if self.device not in ("cpu", "cuda") or (self.device == "cuda" and not torch.cuda.is_available()):
-            raise UserError(
-                f"device={self.device} is not to be had here; use cpu" + " or cuda." * (self.device != "cuda")
-            )
 
-    def run(self) -> list[Timing]:
-        """Time the suite, print a table and, if asked, write the figures."""
-        torch.set_num_threads(self.threads or torch.get_num_threads())
-        cases: Callable[[Benchmark], list[Case]] = import_module(f"grabnet.benchmarks.{self.suite}").cases
-        timings = measure(cases(self), self.runs)
-        Console().print(_table(f"{self.suite}: {SUITES[self.suite]}", timings))
-        if self.output:
-            facts = provenance(settings=asdict(self), threads=torch.get_num_threads())
-            write_json(self.output, {"timings": [asdict(timing) for timing in timings]} | facts)
-        return timings
+
+def run(config: BenchmarkConfig) -> int:
+    """Time the suite, print a table and, where `config.output` names a file, write the figures to it.
+
+    Returns:
+        the exit code: 0.
+    """
+    torch.set_num_threads(config.threads or torch.get_num_threads())
+    cases: Callable[[BenchmarkConfig], list[Case]] = import_module(f"grabnet.benchmarks.{config.suite}").cases
+    timings = measure(cases(config), config.runs)
+    Console().print(_table(f"{config.suite}: {SUITES[config.suite]}", timings))
+    if config.output:
+        facts = provenance(settings=asdict(config), threads=torch.get_num_threads())
+        write_json(config.output, {"timings": [asdict(timing) for timing in timings]} | facts)
+    return 0
 
 
 def _table(title: str, timings: Sequence[Timing]) -> Table:

@@ -7,7 +7,7 @@ import tempfile
 import torch
 from torch import Tensor
 
-from grabnet.benchmarks.run import Benchmark
+from grabnet.benchmarks.run import BenchmarkConfig
 from grabnet.benchmarks.scene import meshes
 from grabnet.benchmarks.timing import Case
 from grabnet.body.hand import HandModel
@@ -23,7 +23,7 @@ N_GRASPS = 1000
 N_SAMPLES = 2048
 
 
-def cases(settings: Benchmark) -> list[Case]:
+def cases(settings: BenchmarkConfig) -> list[Case]:
     torch.manual_seed(settings.seed)
     hand = HandModel.open()
     refined = Grabber(GrabNet(CoarseNet(BPS()), RefineNet(hand)), hand).to(settings.device)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from grabnet.benchmarks.run import Benchmark
+from grabnet.benchmarks.run import BenchmarkConfig
 from grabnet.benchmarks.scene import HandsOnObjects
 from grabnet.benchmarks.timing import Case
 from grabnet.geometry.mesh import Mesh
@@ -19,7 +19,7 @@ FULL = AtlasConfig()
 SMALL = AtlasConfig(fine_nodes=64**3, coarse_nodes=40**3)
 
 
-def cases(settings: Benchmark) -> list[Case]:
+def cases(settings: BenchmarkConfig) -> list[Case]:
     scene = HandsOnObjects.make(settings.batch, settings.seed, settings.device)
     queries = [MeshQuery(mesh, settings.device) for mesh in scene.meshes]
     samples = [mesh.sample_surface(N_OBJECT_POINTS)[0] for mesh in scene.meshes]

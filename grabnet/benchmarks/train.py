@@ -10,7 +10,7 @@ from hydra.utils import instantiate
 from lightning.pytorch.plugins import MixedPrecision, Precision
 from torch import Tensor
 
-from grabnet.benchmarks.run import Benchmark
+from grabnet.benchmarks.run import BenchmarkConfig
 from grabnet.benchmarks.timing import Case
 from grabnet.body.anatomy import vertex_normals
 from grabnet.cli.entry import compose
@@ -27,7 +27,7 @@ N_PUBLISHED = 2048
 SWITCHES = ("compile=true", "matmul_precision=medium", "trainer.precision=bf16-mixed")
 
 
-def cases(settings: Benchmark) -> list[Case]:
+def cases(settings: BenchmarkConfig) -> list[Case]:
     found = []
     for model in ("coarsenet", "refinenet"):
         overrides = [f"model={model}", f"data.batch_size={settings.batch}", f"data.max_frames={settings.batch}"]
@@ -70,7 +70,7 @@ class Step:
             self.features = module.network.features(self.batch.objects)
 
     @classmethod
-    def make(cls, settings: Benchmark, overrides: list[str]) -> Step:
+    def make(cls, settings: BenchmarkConfig, overrides: list[str]) -> Step:
         """Step of the networks and data that `configs/train.yaml` and overrides describe."""
         cfg = compose("train", overrides)
         torch.manual_seed(settings.seed)
@@ -101,7 +101,7 @@ class Step:
         self._descend(lambda: _total(self.plain_terms()), self.optimizer)
 
     def plain_terms(self) -> dict[str, Tensor]:
-        """The loss of the step's batch, by cdist: the module's own with `data.measure=samples` and all samples near."""
+        """The loss of the step's batch, by cdist: the module's own with `data.distance_to=samples`, all near."""
         batch, module, network = self.batch, self.module, self.module.network
         placed = batch.objects
         points = self.data.assembler.object_set.points[placed.index] @ placed.rotations.mT
@@ -123,7 +123,8 @@ class Step:
         if isinstance(module, CoarseNetTraining):
             reached, true = (_signed_distance(points, v, module.hand.faces) for v in (vertices, batch.vertices))
             error["object_to_hand"] = object_to_hand_l1(reached, true, loss.point_weights)
-        terms = {name: (1 - loss.kl) * getattr(loss, name) * value for name, value in error.items()}
+        scale = 1 - loss.kl if isinstance(module, CoarseNetTraining) else loss.scale
+        terms = {name: scale * getattr(loss, name) * value for name, value in error.items()}
         if isinstance(module, CoarseNetTraining):
             divergence = torch.distributions.kl_divergence(posterior, _standard(posterior.mean))
             terms["kl"] = loss.kl * divergence.sum(-1).mean()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from grabnet.benchmarks.run import Benchmark
+from grabnet.benchmarks.run import BenchmarkConfig
 from grabnet.benchmarks.scene import hands, meshes
 from grabnet.benchmarks.timing import Case
 from grabnet.evaluation.hands import Hands
@@ -17,7 +17,7 @@ SPACING = 0.001  # metres
 _MOST = 8  # hands; the plain way takes a second and a half for each
 
 
-def cases(settings: Benchmark) -> list[Case]:
+def cases(settings: BenchmarkConfig) -> list[Case]:
     target = GraspTarget(meshes()[0])
     n = min(settings.batch, _MOST)
     model, parameters = hands(n, torch.Generator().manual_seed(settings.seed), "cpu")

@@ -1,13 +1,16 @@
-"""Checking a composed config against the code it configures, before anything is built."""
+"""Check a composed config against the code it configures, before anything is built."""
 
 from __future__ import annotations
 
+import collections.abc
 import inspect
 import pydoc
 import types
 import typing
 from typing import Any
 
+from hydra.errors import InstantiationException
+from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from grabnet.errors import UserError
@@ -18,13 +21,29 @@ _RESERVED = {"_target_", "_partial_", "_recursive_", "_convert_"}
 def check(cfg: DictConfig) -> None:
     """Raise a `UserError` for the first value that the class or function it is meant for would not take.
 
-    Every node with a `_target_` is held against that target's signature: unknown names, and values whose type the
-    annotation excludes.
+    Every node with a `_target_` is compared with that target's signature: unknown names, and values whose type the
+    annotation excludes. Then the config's own class, where it names one, is made once: its constructor checks ranges.
     """
     missing = OmegaConf.missing_keys(cfg)
     if missing:
         raise UserError(f"The config value {sorted(missing)[0]} must be given on the command line.")
     _walk(cfg, "")
+    if "_target_" in cfg:
+        try:
+            instantiate(cfg, _convert_="all")
+        except InstantiationException as error:
+            raise refusal(error) or error from None
+
+
+def refusal(error: InstantiationException) -> UserError | None:
+    """What a constructor refused, which Hydra passes on, in a sentence; None where it failed for another reason."""
+    cause = error.__cause__
+    if isinstance(cause, UserError):
+        return cause
+    if not isinstance(cause, ValueError | TypeError):
+        return None
+    _, known, key = str(error).rpartition("full_key: ")
+    return UserError(f"{key}: " * bool(known) + " ".join(str(cause).split()))
 
 
 def _walk(node: Any, path: str) -> None:
@@ -35,7 +54,7 @@ def _walk(node: Any, path: str) -> None:
         if "_target_" in node:
             _check_target(node, path)
         for key in node:
-            _walk(node[key], f"{path}.{key}".lstrip("."))
+            _walk(node[key], _joined(path, key))
 
 
 def _check_target(node: DictConfig, path: str) -> None:
@@ -45,17 +64,26 @@ def _check_target(node: DictConfig, path: str) -> None:
     takes_any = len(parameters) < len(signature.parameters)
     given = [k for k in node if k not in _RESERVED]
     if unknown := [k for k in given if k not in parameters and not takes_any]:
-        raise UserError(f"{path} has no value {unknown[0]}; it takes {', '.join(parameters)}.")
+        raise UserError(f"{path or 'The config'} has no value {unknown[0]}; it takes {', '.join(parameters)}.")
     try:
         hints = typing.get_type_hints(target.__init__ if inspect.isclass(target) else target)
     except (NameError, TypeError):  # a library whose annotations only a type checker can resolve
         return
     for key in given:
-        value = node[key]
-        if key in hints and not isinstance(value, DictConfig) and not _fits(value, hints[key]):
-            wanted = getattr(hints[key], "__name__", str(hints[key]))
-            name = f"{path}.{key}".lstrip(".")
-            raise UserError(f"{name}={value!r} is of the wrong type: {wanted} is wanted.")
+        value, name = node[key], _joined(path, key)
+        if key not in hints:
+            continue
+        if not isinstance(value, DictConfig):
+            if not _fits(value, hints[key]):
+                raise UserError(f"{name}={_shown(value)} is of the wrong type: it must be {_in_words(hints[key])}.")
+        elif "_target_" in value:
+            made, expected = _located(value["_target_"], name), _made(hints[key], bool(value.get("_partial_")))
+            if expected is not Any and all(map(inspect.isclass, (made, expected))) and not issubclass(made, expected):
+                raise UserError(f"{name} makes a {made.__name__}; a {expected.__name__} belongs there.")
+
+
+def _joined(path: str, key: object) -> str:
+    return f"{path}.{key}".lstrip(".")
 
 
 def _located(target: str, path: str) -> Any:
@@ -69,21 +97,61 @@ def _located(target: str, path: str) -> Any:
     return found
 
 
+def _made(hint: Any, partial: bool) -> Any:
+    """The class of which an argument annotated so, or what it makes when called, is an instance."""
+    if not partial:
+        return hint
+    is_callable = typing.get_origin(hint) is collections.abc.Callable
+    return typing.get_args(hint)[1] if is_callable and typing.get_args(hint) else None
+
+
 def _fits(value: Any, hint: Any) -> bool:
-    """Whether a config value can stand for the annotation; annotations other than plain types fit anything."""
+    """Whether a plain config value can stand for the annotation."""
     origin = typing.get_origin(hint)
     if origin in (typing.Union, types.UnionType):
         return any(_fits(value, option) for option in typing.get_args(hint))
-    if hint is type(None):
-        return value is None
+    if origin is typing.Literal:
+        return value in typing.get_args(hint)
+    if hint is type(None) or value is None:
+        return value is None and hint in (type(None), Any, object)
     if hint is float:
         return isinstance(value, float | int) and not isinstance(value, bool)
     if hint is int:
         return isinstance(value, int) and not isinstance(value, bool)
-    if hint in (bool, str):
-        return isinstance(value, hint)
-    if origin in (list, tuple, typing.Sequence) or hint in (list, tuple):
+    if origin in (list, tuple, collections.abc.Sequence) or hint in (list, tuple):
         return isinstance(value, ListConfig)
-    if inspect.isclass(hint) and hint.__module__ == "pathlib":
+    if origin is collections.abc.Callable:
+        return False
+    if origin is not None or not inspect.isclass(hint):
+        return True
+    if hint.__module__.startswith("pathlib"):
         return isinstance(value, str)
-    return True
+    try:
+        return isinstance(value, hint)
+    except TypeError:  # a protocol that only a type checker can compare with
+        return True
+
+
+def _shown(value: Any) -> str:
+    """A value as one types it."""
+    if value is None:
+        return "null"
+    return str(value).lower() if isinstance(value, bool) else repr(value)
+
+
+def _in_words(hint: Any) -> str:
+    """An annotation as one reads it in a config."""
+    origin = typing.get_origin(hint)
+    if origin in (typing.Union, types.UnionType):
+        return " or ".join(dict.fromkeys(_in_words(option) for option in typing.get_args(hint)))
+    if origin is typing.Literal:
+        return " or ".join(map(str, typing.get_args(hint)))
+    if origin in (list, tuple, collections.abc.Sequence) or hint in (list, tuple):
+        return "a list"
+    if origin is collections.abc.Callable:
+        return "a config with a _target_"
+    if hint is type(None):
+        return "null"
+    return {bool: "true or false", str: "a string", int: "an int", float: "a float"}.get(hint) or (
+        hint.__name__ if inspect.isclass(hint) else str(hint)
+    )

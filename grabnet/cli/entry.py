@@ -1,27 +1,42 @@
-"""Entry points: Hydra's composition, with every user's mistake told in one sentence and exit code 2."""
+"""Commands that take their values from a config: Hydra's composition, with every mistake in one sentence.
+
+Exit codes of every command:
+    0: all was done.
+    1: what the lines "error: …" name failed, and the rest was done.
+    2: it could not start, or had to end, for the reason in the last line, "error: …".
+"""
 
 from __future__ import annotations
 
-import difflib
 import functools
+import inspect
 import logging
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from argparse import Namespace
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
 import hydra
+from hydra import version
+from hydra._internal.hydra import Hydra
+from hydra._internal.utils import create_config_search_path, get_args_parser
+from hydra.core.config_search_path import SearchPathQuery
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
-from hydra.errors import HydraException, InstantiationException, MissingConfigException
+from hydra.errors import HydraException, InstantiationException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
-from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+from omegaconf.errors import OmegaConfBaseException
 
-from grabnet.cli.checking import check
+from grabnet.cli.checking import check, refusal
+from grabnet.cli.help import command_help
+from grabnet.cli.mistakes import refuse_choices, sentence
+from grabnet.cli.quoting import quoted
 from grabnet.errors import UserError
 from grabnet.io.shipped import shipped
 
@@ -31,90 +46,158 @@ CONFIGS = shipped("configs")
 # ${shipped:configs} in a config: the folder that it lies in.
 OmegaConf.register_new_resolver("shipped", lambda name: str(shipped(name)), replace=True)
 
+Main = Callable[[DictConfig], object]
 
-def hydra_entry(config_name: str) -> Callable[[Callable[[DictConfig], object]], Callable[[], None]]:
+
+def hydra_entry(
+    config_name: str, paths: Collection[str] = (), lists: Collection[str] = ()
+) -> Callable[[Main], Callable[[], int]]:
     """Decorate `main(cfg)` as a command that composes `configs/<config_name>.yaml` from the command line.
 
-    Its groups are the folders beside that file: a name like "preprocess/preprocess" has groups of its own.
+    Its groups are the folders beside that file: a name like "preprocess/preprocess" has groups of its own. The config
+    is composed twice: once here, to find mistakes before anything is written, and then by Hydra for the run.
+
+    Args:
+        config_name: without .yaml.
+        paths: values that are a file name each, which may have any characters.
+        lists: values that may be several file names.
+
+    Returns:
+        a decorator of `main(cfg)`, which returns an exit code or, for sweeps, the objective as a float. It makes a
+        function without arguments of it, which reads the command line and returns the exit code.
     """
 
-    def decorate(main: Callable[[DictConfig], object]) -> Callable[[], None]:
+    def decorate(main: Main) -> Callable[[], int]:
         @functools.wraps(main)
-        def job(cfg: DictConfig) -> object:
-            try:
-                return main(cfg)
-            except (UserError, InstantiationException) as error:
-                mistake = error if isinstance(error, UserError) else refusal(error)
-                if mistake is None:
-                    raise
-                if HydraConfig.get().mode == RunMode.MULTIRUN:  # one run of many: the others go on
-                    raise mistake from None
-                fail(mistake)
+        def entry() -> int:
+            given = quoted(sys.argv[1:], paths, lists)
+            arguments = get_args_parser().parse_intermixed_args(given)
+            # Hydra reads values only before or after its options.
+            sys.argv[1:] = [*(a for a in given if a not in arguments.overrides), *arguments.overrides]
+            codes = [0]
 
-        def entry() -> None:
+            @functools.wraps(main)
+            def job(cfg: DictConfig) -> object:
+                try:
+                    result = main(cfg)
+                except (UserError, InstantiationException) as error:
+                    mistake = error if isinstance(error, UserError) else refusal(error)
+                    if mistake is None:
+                        raise
+                    log.debug("Refused here:", exc_info=error)  # hydra.verbose=true, for who writes a constructor
+                    if HydraConfig.get().mode != RunMode.MULTIRUN:
+                        fail(mistake)
+                    if not HydraConfig.get().sweeper._target_.startswith("hydra."):  # ours records what failed
+                        raise mistake from None
+                    print(f"error: {mistake}", file=sys.stderr)
+                    result = 1  # the other runs continue
+                if isinstance(result, int):
+                    codes.append(result)
+                return result
+
             try:
-                _rehearse(config_name, sys.argv[1:])
+                folder, name = _place(config_name, arguments)
+                with _hydra(folder, name, arguments.config_dir) as composer:
+                    if arguments.help:
+                        with _in_sentences(composer, arguments.overrides):
+                            print(command_help(composer, name, arguments.overrides, inspect.getdoc(main) or ""))
+                        return 0
+                    if _runs(arguments):
+                        _rehearse(composer, name, arguments.overrides, arguments.multirun)
             except UserError as error:
                 fail(error)
-            folder, name = _place(config_name)
             hydra.main(version_base="1.3", config_path=str(folder), config_name=name)(job)()
+            return max(codes)
 
         return entry
 
     return decorate
 
 
-def refusal(error: InstantiationException) -> UserError | None:
-    """What a constructor refused, which Hydra passes on, in a sentence; None where it failed for another reason."""
-    cause = error.__cause__
-    if isinstance(cause, UserError):
-        return cause
-    if not isinstance(cause, ValueError | TypeError):
-        return None
-    key = str(error).rpartition("full_key: ")[2]
-    log.debug("%s was refused here:", key, exc_info=error)  # hydra.verbose=true, for those who write such a constructor
-    return UserError(f"{key}: {' '.join(str(cause).split())}")
-
-
 def fail(error: UserError) -> NoReturn:
-    """Print the sentence and leave."""
+    """Print the sentence and leave with exit code 2."""
     print(f"error: {error}", file=sys.stderr)
     sys.exit(2)
 
 
-def _rehearse(config_name: str, arguments: list[str]) -> None:
-    """Compose and check the config as Hydra will, so that its mistakes surface at once and in one sentence."""
-    if any(a in ("--help", "-h", "--hydra-help", "--version", "--info", "-i", "--cfg", "-c") for a in arguments):
-        return
-    overrides = [a for a in arguments if not a.startswith("-")]
-    if strange := [a for a in overrides if "=" not in a and not a.startswith("~")]:
-        raise UserError(f"The argument '{strange[0]}' has no value: give it as {strange[0]}=…")
+def compose(config_name: str, overrides: Sequence[str]) -> DictConfig:
+    """`configs/<config_name>.yaml` with overrides, checked: what the command of that name would run with.
+
+    Raises:
+        UserError: an override that names or says what is not there.
+    """
+    folder, name = _place(config_name)
+    with _hydra(folder, name) as composer:
+        return _composed(composer, name, overrides)
+
+
+def _place(config_name: str, arguments: Namespace | None = None) -> tuple[Path, str]:
+    """The folder that a config is composed from, and its name in it; or others, named by Hydra's options."""
+    folder, name = (CONFIGS / config_name).parent, (CONFIGS / config_name).name
+    if arguments is None:
+        return folder, name
+    if arguments.config_path is not None and not Path(arguments.config_path).is_absolute():
+        raise UserError(f"--config-path {arguments.config_path} must be absolute; --config-dir adds a folder to ours.")
+    return Path(arguments.config_path or folder), arguments.config_name or name
+
+
+@contextmanager
+def _hydra(folder: Path, name: str, more: str | None = None) -> Iterator[Hydra]:
+    """A Hydra beside the one that may be running, with the configs of `folder`, of the folders that the config `name`
+    there has in hydra.searchpath, and of a further folder."""
+    version.setbase("1.3")
+    own = folder / f"{name}.yaml"
+    further = list(OmegaConf.select(OmegaConf.load(own), "hydra.searchpath") or []) if own.is_file() else []
+    if more is not None:
+        if not Path(more).is_dir():
+            raise UserError(f"--config-dir {more} is no folder.")
+        further.append(f"file://{Path(more).absolute()}")
+    search_path = create_config_search_path(str(folder))
+    for path in further:
+        search_path.prepend("command-line", path, SearchPathQuery(provider="schema"))  # Hydra wants its schema last
+    running = GlobalHydra.instance().hydra
+    GlobalHydra.instance().clear()
     try:
-        parsed = OverridesParser.create().parse_overrides(overrides)
-        choices = [_choices(override) for override in parsed]
-    except HydraException as error:
-        raise UserError(_sentence(error)) from None
+        yield Hydra.create_main_hydra2("grabnet", search_path)
+    finally:
+        GlobalHydra.instance().clear()
+        if running is not None:
+            GlobalHydra.instance().initialize(running)
+
+
+def _runs(arguments: Namespace) -> bool:
+    """Whether the command does its work, rather than print what Hydra knows about it."""
+    asks = (arguments.cfg, arguments.info, arguments.hydra_help, arguments.shell_completion)
+    return not any(asks) and arguments.experimental_rerun is None
+
+
+def _rehearse(composer: Hydra, config_name: str, arguments: list[str], is_sweep: bool) -> None:
+    """Compose and check the config as Hydra will, so that its mistakes surface at once and in one sentence."""
+    choices = [_choices(override) for override in _parsed(arguments)]
     # A sweep is rehearsed with each of its values in turn, those of the others being their first.
     first = [values[0] for values in choices]
-    compose(config_name, first)
+    _composed(composer, config_name, first)
     for i, values in enumerate(choices):
         for value in values[1:]:
-            compose(config_name, [*first[:i], value, *first[i + 1 :]])
-    _try_folder(is_sweep=not {"-m", "--multirun"}.isdisjoint(arguments))
+            _composed(composer, config_name, [*first[:i], value, *first[i + 1 :]])
+    _try_folder(is_sweep)
 
 
-def _try_folder(is_sweep: bool) -> None:
-    """Raise a `UserError` where Hydra could not make the folder of the composed run or sweep, or write to it."""
-    settings = HydraConfig.get()
-    if settings.output_subdir is None:  # it writes nothing
-        return
-    name, folder = ("sweep_dir", settings.sweep.dir) if is_sweep else ("run_dir", settings.run.dir)
-    path = Path(folder).absolute()
-    try:
-        # Not the folder itself: in its name is the time, which will be another when Hydra makes it.
-        tempfile.TemporaryDirectory(dir=next(p for p in (path, *path.parents) if p.exists())).cleanup()
-    except OSError as error:
-        raise UserError(f"{folder} cannot be written to ({error.strerror}): choose another {name}.") from None
+def _parsed(arguments: Sequence[str]) -> list[Override]:
+    """The overrides that arguments are, in Hydra's grammar."""
+    overrides = []
+    for argument in arguments:
+        if "=" not in argument and not argument.startswith("~"):
+            raise UserError(f"The argument '{argument}' has no value: give it as {argument}=…")
+        try:
+            overrides.append(OverridesParser.create().parse_override(argument))
+        except HydraException:
+            key, _, value = argument.partition("=")
+            raise UserError(
+                f"The argument {argument} cannot be read: quote a value with special characters twice, as in "
+                f"\"{key}='{value}'\"."
+            ) from None
+    return overrides
 
 
 def _choices(override: Override) -> list[str]:
@@ -129,50 +212,37 @@ def _choices(override: Override) -> list[str]:
     return choices
 
 
-def compose(config_name: str, overrides: Sequence[str]) -> DictConfig:
-    """`configs/<config_name>.yaml` with overrides, checked: what the command of that name would run with.
-
-    Raises:
-        UserError: an override that names or says what is not there.
-    """
-    folder, name = _place(config_name)
-    running = GlobalHydra.instance().hydra  # of the command that asks
-    GlobalHydra.instance().clear()
-    try:
-        with hydra.initialize_config_dir(str(folder), version_base="1.3"):
-            cfg = hydra.compose(name, list(overrides), return_hydra_config=True)
+def _composed(composer: Hydra, config_name: str, arguments: Sequence[str]) -> DictConfig:
+    with _in_sentences(composer, arguments):
+        cfg = hydra.compose(config_name, list(arguments), return_hydra_config=True)
         HydraConfig.instance().set_config(cfg)  # for interpolations such as ${hydra:runtime.choices.model}
-    except (HydraException, OmegaConfBaseException) as error:
-        raise UserError(_sentence(error)) from None
-    finally:
-        if running is not None:
-            GlobalHydra.instance().initialize(running)
     with open_dict(cfg):
         del cfg["hydra"]
     check(cfg)
     return cfg
 
 
-def _place(config_name: str) -> tuple[Path, str]:
-    """The folder that a config is composed from, and its name in it."""
-    return (CONFIGS / config_name).parent, (CONFIGS / config_name).name
+@contextmanager
+def _in_sentences(composer: Hydra, arguments: Sequence[str]) -> Iterator[None]:
+    """Raise as `UserError` what Hydra finds wrong with the arguments that are composed in the block."""
+    overrides = _parsed(arguments)
+    refuse_choices(composer.config_loader, overrides)
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException) as error:
+        keys = [override.key_or_group for override in overrides]
+        raise UserError(sentence(error, composer.config_loader, keys)) from None
 
 
-def _sentence(error: Exception) -> str:
-    if isinstance(error, MissingConfigException):
-        group, _, name = (error.missing_cfg_file or "").rpartition("/")
-        options = error.options or sorted(p.stem for p in (CONFIGS / group).glob("*.yaml"))
-        return f"There is no {group} '{name}'; {group} can be {', '.join(options)}."
-    cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
-    if isinstance(cause, ConfigAttributeError | ConfigKeyError) and cause.parent_node is not None:
-        names = [str(k) for k in cause.parent_node if k not in ("hydra", "_target_")]
-        close = difflib.get_close_matches(str(cause.key), names, n=1)
-        where = (cause.full_key or "").rpartition(".")[0] or "the config"
-        if close:
-            hint = f"did you mean {close[0]}? It has {', '.join(names)}"
-        elif "_target_" in cause.parent_node:  # its other values are not listed
-            hint = f"it has {', '.join(names) or 'none'}; if its target takes it, write +{cause.full_key}=…"
-        else:
-            hint = f"it has {', '.join(names)}"
-        return f"Unknown key '{cause.full_key}' in {where}; {hint}."
-    return " ".join(str(error).split())
+def _try_folder(is_sweep: bool) -> None:
+    """Raise a `UserError` where Hydra could not make the folder of the composed run or sweep, or write to it."""
+    settings = HydraConfig.get()
+    if settings.output_subdir is None:  # it writes nothing
+        return
+    name, folder = ("sweep_dir", settings.sweep.dir) if is_sweep else ("run_dir", settings.run.dir)
+    path = Path(folder).absolute()
+    try:
+        # Not the folder itself: in its name is the time, which will be another when Hydra makes it.
+        tempfile.TemporaryDirectory(dir=next(p for p in (path, *path.parents) if p.exists())).cleanup()
+    except OSError as error:
+        raise UserError(f"{folder} cannot be written to ({error.strerror}): choose another {name}.") from None

@@ -37,9 +37,9 @@ class GraspDataModule(L.LightningDataModule):
         min_steps: of an epoch: few frames are gone through as often as that takes.
         object_points: surface samples per object.
         near_points: of these, how many nearest to the hand enter the object→hand loss (published: all).
-        measure: hand→object distances are signed, to the "surface"; or unsigned, to the nearest of the "samples".
+        distance_to: hand→object distances are signed, to the "surface"; or unsigned, to the nearest of the "samples".
         contact_distance: metres within which a hand vertex counts as touching (ref. 4).
-        turn: rotate training frames about the vertical at random.
+        rotate: rotate training frames about the vertical at random.
         max_frames: use only so many training frames, evenly spaced; all when omitted.
         cache_dir: for signed-distance grids; the user's cache folder when omitted.
         seed: of sampling and shuffling.
@@ -59,9 +59,9 @@ class GraspDataModule(L.LightningDataModule):
         min_steps: int = 1,
         object_points: int = 2048,
         near_points: int = 128,
-        measure: str = "surface",
+        distance_to: str = "surface",
         contact_distance: float = 0.0045,
-        turn: bool = True,
+        rotate: bool = True,
         max_frames: int | None = None,
         cache_dir: str | None = None,
         seed: int = 0,
@@ -77,9 +77,9 @@ class GraspDataModule(L.LightningDataModule):
         self.min_steps = min_steps
         self.object_points = object_points
         self.near_points = near_points
-        self.measure = measure
+        self.distance_to = distance_to
         self.contact_distance = contact_distance
-        self.turn = turn
+        self.rotate = rotate
         self.max_frames = max_frames
         self.cache_dir = cache_dir
         self.seed = seed
@@ -129,7 +129,7 @@ class GraspDataModule(L.LightningDataModule):
             n_points=self.object_points,
             seed=self.seed,
             cache_dir=self.cache_dir,
-            measure=self.measure,
+            distance_to=self.distance_to,
         )
         self.assembler = BatchAssembler(self.hand, self.store.v_template, objects)
         for split in SPLITS:
@@ -201,7 +201,7 @@ class GraspDataModule(L.LightningDataModule):
     def on_after_batch_transfer(self, batch: tuple[str, Tensor, int], dataloader_idx: int) -> GraspBatch:
         split, index, seed = batch
         torch.manual_seed(seed)  # all noise of the step follows from it, so that a resumed run repeats it
-        return self.assemble(split, index, turn=self.turn and self.trainer is not None and self.trainer.training)
+        return self.assemble(split, index, turn=self.rotate and self.trainer is not None and self.trainer.training)
 
     def assemble(self, split: str, index: Tensor, turn: bool = False) -> GraspBatch:
         """The frames `index` of a split as a batch on `index`'s device."""

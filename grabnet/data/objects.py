@@ -28,11 +28,11 @@ class ObjectSet(nn.Module):
         n_points: surface points sampled per object (ref. 2: 2048).
         seed: of the sampling.
         cache_dir: where signed-distance grids are kept; the user's cache folder when omitted.
-        measure: what the `distances` of placed objects are: to the "surface", signed, by the atlas; or unsigned to the
-            nearest of the "samples", as published (ref. 2), by brute force.
+        distance_to: what the `distances` of placed objects are: to the "surface", signed, by the atlas; or unsigned to
+            the nearest of the "samples", as published (ref. 2), by brute force.
 
     Raises:
-        UserError: another `measure`.
+        UserError: another `distance_to`.
 
     Attributes:
         names, meshes: as given.
@@ -48,12 +48,12 @@ class ObjectSet(nn.Module):
         n_points: int = 2048,
         seed: int = 0,
         cache_dir: str | Path | None = None,
-        measure: str = "surface",
+        distance_to: str = "surface",
     ):
         super().__init__()
-        if measure not in ("surface", "samples"):
-            raise UserError(f"data.measure is '{measure}'; it can be surface or samples.")
-        self.measure = measure
+        if distance_to not in ("surface", "samples"):
+            raise UserError(f"data.distance_to is '{distance_to}'; it can be surface or samples.")
+        self.distance_to = distance_to
         self.names, self.meshes = list(names), list(meshes)
         self.sha256 = sha256(*(mesh.sha256 for mesh in meshes))
         centroids = torch.stack([torch.as_tensor(mesh.centroid, dtype=torch.float32) for mesh in meshes])
@@ -80,7 +80,7 @@ class ObjectSet(nn.Module):
 
     def place(self, index: Tensor, rotations: Tensor) -> PlacedObjects:
         """Objects `index` (B,) in a world about their centroids, in which they are turned by `rotations` (B, 3, 3)."""
-        samples = self.points if self.measure == "samples" else None
+        samples = self.points if self.distance_to == "samples" else None
         return PlacedObjects(self.atlas, index, rotations, self.centroids[index], samples)
 
 

@@ -27,12 +27,12 @@ class ReconstructionLoss(nn.Module):
         hand: whose mesh edges count.
         contact: (V,) share of training frames in which each vertex touches; normalised here to a maximum of 1.
         vertex, edge, hand_to_object: weights of the terms.
-        root: w' = w^(1/root) weighs the distances; higher means more even.
+        weight_exponent: w' = w^weight_exponent weighs the distances; lower means more even.
         contact_weights: "learned", w from `contact`, or "uniform", 1 for every vertex.
-        vertices_by_root: weigh the vertices by w' too, instead of by w.
+        evened_vertices: weigh the vertices by w' too, instead of by w.
 
     Raises:
-        UserError: other contact_weights, or a root that is not positive.
+        UserError: other contact_weights, or a weight_exponent that is negative.
     """
 
     def __init__(
@@ -42,20 +42,20 @@ class ReconstructionLoss(nn.Module):
         vertex: float,
         edge: float,
         hand_to_object: float,
-        root: float,
+        weight_exponent: float,
         contact_weights: str,
-        vertices_by_root: bool,
+        evened_vertices: bool,
     ):
         super().__init__()
         if contact_weights not in ("learned", "uniform"):
             raise UserError(f"contact_weights is '{contact_weights}'; it can be learned or uniform.")
-        if root <= 0:
-            raise UserError(f"root is {root}; no such root of the contact weights can be taken: it must be above 0.")
+        if not weight_exponent >= 0:
+            raise UserError(f"weight_exponent is {weight_exponent}; it must be at least 0.")
         uniform = contact_weights == "uniform"
         likelihood = torch.ones_like(contact) if uniform else contact / contact.max().clamp_min(1e-12)
-        evened = likelihood ** (1 / root)
+        evened = likelihood**weight_exponent
         self.vertex, self.edge, self.hand_to_object = vertex, edge, hand_to_object
-        self.register_buffer("vertex_weight", evened if vertices_by_root else likelihood, False)
+        self.register_buffer("vertex_weight", evened if evened_vertices else likelihood, False)
         self.register_buffer("distance_weight", evened, False)
         self.edges = EdgeL1(hand.faces, len(hand.v_template))
 
@@ -88,11 +88,13 @@ class CoarseNetLoss(ReconstructionLoss):
         hand_to_object: float,
         object_to_hand: float,
         kl: float,
-        root: float,
+        weight_exponent: float,
         contact_weights: str,
         point_weights: PointWeights,
     ):
-        super().__init__(hand, contact, vertex, edge, hand_to_object, root, contact_weights, vertices_by_root=False)
+        super().__init__(
+            hand, contact, vertex, edge, hand_to_object, weight_exponent, contact_weights, evened_vertices=False
+        )
         self.object_to_hand, self.kl, self.point_weights = object_to_hand, kl, point_weights
         self.nearest = NearestVertex(hand.faces, len(hand.v_template))
 
@@ -106,7 +108,11 @@ class CoarseNetLoss(ReconstructionLoss):
 
 
 class RefineNetLoss(ReconstructionLoss):
-    """RefineNet's terms, × (1 − kl) as in CoarseNet's loss so that the two stay comparable (ref. 7)."""
+    """RefineNet's terms (ref. 7).
+
+    Args:
+        scale: of all terms; 1 − κ of CoarseNet's loss keeps the two comparable.
+    """
 
     def __init__(
         self,
@@ -115,12 +121,14 @@ class RefineNetLoss(ReconstructionLoss):
         vertex: float,
         edge: float,
         hand_to_object: float,
-        kl: float,
-        root: float,
+        scale: float,
+        weight_exponent: float,
         contact_weights: str,
     ):
-        super().__init__(hand, contact, vertex, edge, hand_to_object, root, contact_weights, vertices_by_root=True)
-        self.kl = kl
+        super().__init__(
+            hand, contact, vertex, edge, hand_to_object, weight_exponent, contact_weights, evened_vertices=True
+        )
+        self.scale = scale
 
     def forward(self, vertices: Tensor, batch: GraspBatch) -> dict[str, Tensor]:
-        return {name: (1 - self.kl) * term for name, term in super().forward(vertices, batch).items()}
+        return {name: self.scale * term for name, term in super().forward(vertices, batch).items()}

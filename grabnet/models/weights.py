@@ -96,7 +96,10 @@ def check_hand(path: str | Path, hand: HandModel) -> None:
     """Raise a `UserError` where the network at `path` is known to have been trained with another hand."""
     trained_with = read_provenance(path).get("hand_sha256")
     if trained_with not in (None, sha256(hand.v_template.cpu().numpy())):
-        raise UserError(f"{path} was trained with another hand model: name its file with hand_model=<MANO_RIGHT.npz>.")
+        raise UserError(
+            f"{path} was trained with another hand model: give that one, with hand_model=<its file> when sampling, else "
+            "with hand_model=mano hand_model.path=<its file>."
+        )
 
 
 def read_provenance(path: str | Path) -> dict[str, Any]:

@@ -32,7 +32,7 @@ class DecompositionError(ValueError):
 
 @dataclass(frozen=True)
 class DecompositionConfig:
-    """How finely an object is cut; `configs/evaluation/physics.yaml` explains the values.
+    """How finely an object is cut; `physics` in `configs/evaluate.yaml` explains the values.
 
     Raises:
         UserError: a value out of range.

@@ -101,6 +101,7 @@ def _fit(
     if trainer.is_global_zero:
         record = provenance(
             seed=cfg.seed,
+            tags=list(cfg.tags),
             data=data.record(),
             hand_sha256=sha256(data.hand.v_template.numpy()),
             trained_from=module.trained_from,

@@ -12,10 +12,10 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from grabnet.cli.checking import check
-from grabnet.cli.entry import CONFIGS, compose, refusal
+from grabnet.cli.checking import check, refusal
+from grabnet.cli.entry import CONFIGS, compose
+from grabnet.commands.train import main
 from grabnet.errors import UserError
-from train import main
 
 ROOT = Path(__file__).parents[2]
 
@@ -24,11 +24,34 @@ ROOT = Path(__file__).parents[2]
     ("argument", "sentence"),
     [
         ("model=corsenet", "There is no model 'corsenet'; model can be coarsenet, grabnet, refinenet"),
-        ("model.latnt_dim=3", "Unknown key 'model.latnt_dim' in model; did you mean latent_dim?"),
+        ("model.latnt_dim=3", "Unknown key 'model.latnt_dim'; did you mean model.latent_dim? (model has scheduler, "),
+        ("loss.vertex=3", "Unknown key 'loss.vertex'; did you mean model.loss.vertex?"),
+        ("losses.vertex=3", "Unknown key 'losses.vertex'; did you mean model.loss.vertex?"),
+        ("lr=1e-3", "Unknown key 'lr'; did you mean model.optimizer.lr?"),
+        ("batch_size=3", "Unknown key 'batch_size'; did you mean data.batch_size?"),
+        ("batchsize=3", "Unknown key 'batchsize'; did you mean data.batch_size?"),
+        ("ckpt_path=x", "Unknown key 'ckpt_path'; give resume=true with run_dir=<run folder>."),
+        ("nonsense=3", "Unknown key 'nonsense'; the config has seed, run_dir, "),
+        ("+nonsense=3", "The config has no value nonsense; it takes seed, "),
         ("trainer.gradient_clip_val=1", "if its target takes it, write +trainer.gradient_clip_val=…"),
-        ("model.latent_dim=abc", "model.latent_dim='abc' is of the wrong type: int is wanted."),
+        ("model.latent_dim=abc", "model.latent_dim='abc' is of the wrong type: it must be an int."),
         ("data=frames", "The config value data.root must be given on the command line."),
         ("model.latent_dim=", "model.latent_dim='' is of the wrong type"),
+        ("model.optimizer.lr=abc", "model.optimizer.lr='abc' is of the wrong type: it must be a float or Tensor."),
+        ("trainer.max_epochs=abc", "trainer.max_epochs='abc' is of the wrong type: it must be an int or null."),
+        ("test=maybe", "test='maybe' is of the wrong type: it must be true or false."),
+        ("model.loss=3", "model.loss=3 is of the wrong type: it must be a config with a _target_."),
+        ("loss=refinenet", "model.loss makes a RefineNetLoss; a CoarseNetLoss belongs there."),
+        ("source=noise", "model has no value source; it takes hand, "),
+        ("model=3", "model=3 names no file of the group model; it can be coarsenet, grabnet, refinenet."),
+        ("logger=null", "logger=null names no file of the group logger; it can be csv, wandb."),
+        ("callbacks=null", "callbacks=null names no file of the group callbacks; it can be default, pruning."),
+        ("logger=[]", "logger=[] names no file of the group logger"),
+        ("data=_base", "data=_base names no file of the group data; it can be frames, grabnet_release, open."),
+        ("~logger", "~logger removes what the command needs: remove single values, as in ~logger.<value>."),
+        ("seed=-1", "seed is -1; it must be at least 0."),
+        ("seed=4294967296", "seed is 4294967296; it must be below 4294967296."),
+        ("objective=val(loss", "The argument objective=val(loss cannot be read: quote a value with special characters"),
         ("model.optimizer._target_=torch.optim.Nope", "model.optimizer._target_=torch.optim.Nope does not exist."),
         ("model.optimizer._target_=antigravitee.Adam", "model.optimizer._target_=antigravitee.Adam does not exist."),
     ],
@@ -57,17 +80,31 @@ def test_a_folder_that_cannot_be_made_is_told(arguments, tmp_path, monkeypatch, 
     assert left.value.code == 2 and capsys.readouterr().err == f"error: {sentence}\n"
 
 
-@pytest.mark.parametrize("group", ["experiment", "model", "debug", "trainer", "callbacks", "logger"])
+@pytest.mark.parametrize("group", ["experiment", "model", "debug", "trainer", "callbacks", "logger", "scheduler"])
 def test_every_choice_composes(group):
     for file in (CONFIGS / group).glob("*.yaml"):
         assert compose("train", [f"{group}={file.stem}"])
+
+
+def test_groups_within_the_model_are_chosen_by_their_plain_names():
+    targets = {
+        ("train", "scheduler=cosine"): ("model.scheduler", "CosineAnnealingLR"),
+        ("train", "loss=coarsenet"): ("model.loss", "CoarseNetLoss"),
+        ("train", "model=refinenet"): ("model.source", "PoseNoise"),
+        ("train", "model=refinenet source=published"): ("model.source", "StoredNoise"),
+        ("train", "experiment=demo_refinenet"): ("model.source", "CoarseNetGuesses"),
+        ("train", "model=grabnet"): ("model.coarse_loss", "CoarseNetLoss"),
+        ("evaluate", "source=published"): ("source", "StoredNoise"),
+    }
+    for (command, arguments), (key, name) in targets.items():
+        assert OmegaConf.select(compose(command, arguments.split()), key)._target_.endswith(f".{name}"), arguments
 
 
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
         (["model.bps.n_points=0"], "n_points is 0; a basis needs at least 1 point."),
-        (["model.loss.root=0"], "root is 0; no such root of the contact weights can be taken: it must be above 0."),
+        (["model.loss.weight_exponent=-1"], "weight_exponent is -1; it must be at least 0."),
         (["model=refinenet", "model.iterations=0"], "iterations is 0; RefineNet needs at least 1 to correct anything."),
         (["model=refinenet", "model.dropout=2"], "model: dropout probability has to be between 0 and 1, but got 2"),
     ],
@@ -85,9 +122,9 @@ def sample_target(size: int, rate: float = 0.1, name: str | None = None) -> None
 @pytest.mark.parametrize(
     ("values", "sentence"),
     [
-        ({"size": "3"}, r"node\.size='3' is of the wrong type: int"),
-        ({"size": 3, "rate": True}, r"node\.rate=True is of the wrong type: float"),
-        ({"size": True}, r"node\.size=True"),
+        ({"size": "3"}, r"node\.size='3' is of the wrong type: it must be an int"),
+        ({"size": 3, "rate": True}, r"node\.rate=true is of the wrong type: it must be a float"),
+        ({"size": True}, r"node\.size=true"),
         ({"size": 3, "sise": 3}, "node has no value sise; it takes size, rate, name"),
         ({"size": "???"}, r"node\.size must be given"),
     ],

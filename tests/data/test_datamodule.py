@@ -52,7 +52,7 @@ def test_distances_are_those_to_the_mesh(data, tiny_dataset):
 
 
 def test_distances_may_be_to_the_samples_as_published(tiny_dataset, hand, cache_dir):
-    settings = {"near_points": 8, "measure": "samples", "cache_dir": str(cache_dir)}
+    settings = {"near_points": 8, "distance_to": "samples", "cache_dir": str(cache_dir)}
     data = GraspDataModule(hand, str(tiny_dataset), **SPLIT, **settings)
     data.setup()
     batch = data.assemble("train", torch.arange(3), turn=True)
@@ -61,8 +61,8 @@ def test_distances_may_be_to_the_samples_as_published(tiny_dataset, hand, cache_
         expected, _ = cKDTree(samples.numpy()).query(batch.vertices[k].numpy())
         for found in (batch.distances[k], batch.objects.distances(batch.vertices)[k]):
             torch.testing.assert_close(found.double(), torch.from_numpy(expected), atol=1e-4, rtol=1e-3)
-    with pytest.raises(UserError, match=r"data\.measure is 'meters'"):
-        GraspDataModule(hand, str(tiny_dataset), **SPLIT, **(settings | {"measure": "meters"})).setup()
+    with pytest.raises(UserError, match=r"data\.distance_to is 'meters'"):
+        GraspDataModule(hand, str(tiny_dataset), **SPLIT, **(settings | {"distance_to": "meters"})).setup()
 
 
 def test_points_are_the_nearest_and_their_distances_exact(data):

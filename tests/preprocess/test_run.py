@@ -300,7 +300,7 @@ def test_a_store_of_something_else_is_not_gone_on_with(changed, own_grab, tmp_pa
         (["filter.every=0"], r"filter\.every is 0"),
         (["filter.min_lift=-0.01"], r"filter\.min_lift is -0\.01; it must be at least 0"),
         (["filter.min_other_fingers=5"], r"filter\.min_other_fingers is 5; there are 4"),
-        (["fitler.every=2"], "Unknown key 'fitler' in the config; did you mean filter"),
+        (["fitler.every=2"], "Unknown key 'fitler.every'; did you mean filter.every"),
         (["data.root=/nowhere"], r"/nowhere holds no recordings .*: make them with python scripts/build_open\.py"),
     ],
 )

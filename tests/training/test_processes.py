@@ -23,7 +23,7 @@ NO_NOISE = (
     "model.source.finger=0",
     "model.source.wrist=0",
     "model.source.transl=0",
-    "data.turn=false",
+    "data.rotate=false",
     "model.optimizer._target_=torch.optim.SGD",
     "model.optimizer.lr=1e-5",
 )

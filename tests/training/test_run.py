@@ -118,7 +118,7 @@ def test_both_networks_go_on_end_to_end_from_trained_ones(tiny_dataset, tmp_path
         assert any(not torch.equal(a, b) for a, b in zip(before.parameters(), after.parameters(), strict=True))
     file = tmp_path / "coarsenet/model.safetensors"
     save_network(file, load_network(file, kind="CoarseNet"), {"hand_sha256": "0" * 64})
-    guesses = ["model=refinenet", "source@model.source=coarsenet", f"model.source.coarsenet={file}"]
+    guesses = ["model=refinenet", "source=coarsenet", f"model.source.coarsenet={file}"]
     for more in (start, guesses):
         with pytest.raises(InstantiationException) as told:
             train(compose("train", [*overrides, *more, f"run_dir={tmp_path / 'other'}"]))
@@ -177,8 +177,9 @@ def test_a_run_goes_on_with_the_settings_it_began_with(tiny_dataset, tmp_path, c
     (tmp_path / "provenance.json").write_text("{}")
     with pytest.raises(UserError, match=r"provenance\.json is missing, damaged or of an older version .*resume=false"):
         run("trainer.max_epochs=3")
-    run("trainer.max_epochs=1", "model.width=16", "resume=false")
+    run("trainer.max_epochs=1", "model.width=16", "resume=false", "tags=[narrow,short]")
     assert load_network(tmp_path, kind="CoarseNet").pose.in_features == 16
+    assert read_provenance(tmp_path)["tags"] == ["narrow", "short"]
 
 
 def test_a_run_without_time_for_an_epoch_says_so(tiny_dataset, tmp_path, cache_dir):

@@ -33,7 +33,7 @@ def engines() -> dict[str, str]:
 
 @dataclass(frozen=True)
 class DropTest:
-    """The constants of a simulation; `configs/evaluation/physics.yaml` explains the values.
+    """The constants of a simulation; `physics` in `configs/evaluate.yaml` explains the values.
 
     Raises:
         UserError: a value out of range.
@@ -59,7 +59,7 @@ class DropTest:
 
 @dataclass(frozen=True)
 class PhysicsConfig:
-    """The values of `configs/evaluation/physics.yaml`."""
+    """The values of `physics` in `configs/evaluate.yaml`."""
 
     grasptta: DropTest
     shake: DropTest

@@ -148,7 +148,7 @@ def test_noisy_hands_are_what_refinenet_starts_from(tmp_path, meshes, cache_dir)
     swapped = [o for o in overrides if "split" not in o]
     metrics = train(compose("train", [
         *swapped, "data.split.val=[ring]", "data.split.test=[block]", f"objects.dir={meshes}",
-        "source@model.source=published", "callbacks.grasps=null",
+        "source=published", "callbacks.grasps=null",
     ]))  # fmt: skip
     assert metrics["test/train/v2v"] > 0
 

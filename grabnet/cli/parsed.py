@@ -1,0 +1,29 @@
+"""Commands that take their arguments from argparse."""
+
+from __future__ import annotations
+
+import argparse
+
+from grabnet.cli.entry import fail
+from grabnet.cli.help import EXIT_CODES
+from grabnet.errors import UserError
+
+
+def make_parser(about: str | None) -> argparse.ArgumentParser:
+    """A parser whose help says what the command does and what its exit codes mean."""
+    return argparse.ArgumentParser(
+        description=about, epilog=EXIT_CODES, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+
+
+def run_parsed(parser: argparse.ArgumentParser) -> int:
+    """Call the function `call` that the parser sets on the arguments of the command line.
+
+    Returns:
+        the exit code that it returns, or 0 where it returns None.
+    """
+    arguments = parser.parse_args()
+    try:
+        return arguments.call(arguments) or 0
+    except UserError as error:
+        fail(error)

@@ -1,0 +1,21 @@
+"""The command `preprocess`."""
+
+from __future__ import annotations
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+
+from grabnet.cli.entry import hydra_entry
+
+PATHS = ("data.root", "data.models", "output", "cache_dir")
+
+
+@hydra_entry("preprocess/preprocess", paths=PATHS)
+def main(cfg: DictConfig) -> int:
+    """Make training frames of recordings.
+
+    grabnet preprocess data=open | data=grab data.root=<folder> data.models=<folder> [any value below]
+    """
+    from grabnet.preprocess.run import run
+
+    return run(instantiate(cfg, _convert_="all"))

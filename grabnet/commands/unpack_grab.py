@@ -1,0 +1,29 @@
+"""Unpack the zip files of GRAB's release.
+
+grabnet unpack <folder of zips> <folder for GRAB>
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from grabnet.cli.parsed import make_parser, run_parsed
+
+
+def main() -> int:
+    parser = make_parser(__doc__)
+    parser.add_argument("downloads", type=Path, help="folder with the zip files as downloaded")
+    parser.add_argument("root", type=Path, help="where grab/ and tools/ go; started again, it resumes where it stopped")
+    parser.set_defaults(call=_unpack)
+    return run_parsed(parser)
+
+
+def _unpack(arguments: argparse.Namespace) -> int:
+    from grabnet.data.unpacking import unpack
+
+    failures = unpack(arguments.downloads, arguments.root)
+    for sentence in failures:
+        print(f"error: {sentence}", file=sys.stderr)
+    return 1 if failures else 0
