@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from omegaconf import OmegaConf
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
+from grabnet.cli.entry import CONFIGS
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.openings import close
@@ -22,9 +22,7 @@ from grabnet.physics.coacd_process import CoacdError, cut
 from grabnet.physics.decomposition import DecompositionConfig, DecompositionError, convex_pieces, decomposed
 from grabnet.physics.hand_pieces import hand_pieces
 
-SHIPPED: DecompositionConfig = instantiate(
-    OmegaConf.load(Path(__file__).parents[2] / "configs/evaluation/physics.yaml").decomposition
-)
+SHIPPED: DecompositionConfig = instantiate(OmegaConf.load(CONFIGS / "evaluate.yaml").physics.decomposition)
 CONFIG = replace(SHIPPED, resolution=200, nodes=6, iterations=10, remeshing=20)  # quick
 
 

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
+from grabnet.cli.entry import CONFIGS
 from grabnet.errors import UserError
 from grabnet.evaluation.protocols.drop_test import Outcome, PhysicsConfig, Simulator
 from grabnet.geometry.mesh import Mesh
@@ -20,8 +21,7 @@ from grabnet.open.grasps.store import load_open_grasps
 from grabnet.open.objects import build_object
 from grabnet.physics.simulation import Simulation
 
-ROOT = Path(__file__).parents[3]
-CONFIG: PhysicsConfig = instantiate(OmegaConf.load(ROOT / "configs/evaluation/physics.yaml"))
+CONFIG: PhysicsConfig = instantiate(OmegaConf.load(CONFIGS / "evaluate.yaml").physics)
 GRASPTTA = CONFIG.grasptta
 # Free fall for 35 steps by semi-implicit Euler: h² g (1 + 2 + … + 35).
 FALL = GRASPTTA.gravity / 240**2 * 35 * 36 / 2
