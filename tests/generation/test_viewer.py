@@ -74,7 +74,7 @@ def test_geometry_survives_its_encoding(browser, grasps):
     faces = np.array(browser.evaluate("Array.from(handFaces)")).reshape(-1, 3)
     np.testing.assert_array_equal(faces, grasps.faces.numpy())
     touching = np.array(browser.evaluate("Array.from(touching)")).reshape(5, -1)
-    assert touching.astype(bool).sum() == grasps.contact_vertices.sum()
+    assert touching.astype(bool).sum() == grasps.contacts.contact_vertices.sum()
 
 
 def test_the_view_is_drawn_and_turns(browser):
