@@ -74,7 +74,7 @@ def run(config: SamplingConfig) -> int:
             )
             about = {"name": file.name, "mesh": str(file.resolve()), "mesh_sha256": sha256(file)}
             write_grasps(folder, grasps, about | record, listed(config.format), sheet, config.page)
-            print(f"{file}: {grasps.summary()}; pictures, page and files are in {folder}")
+            print(f"{file}: {grasps.summary()}; all is in {folder}")
         except UserError as error:
             failures.append(str(error))
         except OSError as error:
