@@ -39,6 +39,8 @@ _POINTS = 2048
 _FEW = 16
 _HAND = {"global_orient_rhand_rotmat": (3, 3), "fpose_rhand_rotmat": (15, 3, 3), "trans_rhand": (3,)}
 _OBJECT = {"root_orient_obj_rotmat": (3, 3), "trans_obj": (3,)}
+# Metres between an object and the nearest vertex of a hand that grasps it, at most.
+_REACH = 0.01
 # Ends the names of the noisy hands' arrays.
 _NOISY = "_f"
 
@@ -217,9 +219,6 @@ class GrabnetRelease(FrameSource):
         geometry, names = self._geometry[split], self._names[split]
         n = len(names) if self.check == "all" else min(self.check, len(names))
         if self._record.frames(split) < n:
-            if not geometry.shapes:
-                log.warning("%s: %s, so that nothing can be compared.", split, geometry.layout)
-                return
             tolerance = dict.fromkeys(geometry.shapes, self.tolerance) | {"bps_object": self.bps_tolerance}
             rows = self._sample(split, n)
             compare(self._comparison, self._posed(split), geometry, rows, tolerance, self._record, split)
@@ -232,6 +231,12 @@ class GrabnetRelease(FrameSource):
             "%s: %s. %s of %s frames compared, millimetres off: %s.",
             split, geometry.layout, f"{n:,}", f"{len(names):,}", ", ".join(off),
         )  # fmt: skip
+        if (apart := found["off"]["hand_to_object"]["mean_mm"]) > 1e3 * _REACH:
+            raise UserError(
+                f"{self._folder / split}: hands posed from its parameters are {apart:.1f} mm from their objects on "
+                f"average, and grasps touch: pass the hand model and the meshes that the data were made with "
+                f"(hand_model.path, objects.dir)."
+            )
 
     def _sample(self, split: str, n: int) -> Tensor:
         """n rows of a split, ascending."""

@@ -70,13 +70,18 @@ class Comparison:
         """Distances (n, …) by which each array of a block of n frames is off, metres.
 
         Hand vertices: to those of our hand. Object points: to the mesh. BPS: between its distances and ours to the
-        mesh, which are smaller by what lies between the 2048 points that the stored ones are to.
+        mesh, which are smaller by what lies between the 2048 points that the stored ones are to. Besides,
+        `hand_to_object` (n, 1): from the mesh to the nearest vertex of our hand, small where hands and objects fit.
         """
-        rows, arrays, off = block.rows, block.arrays, {}
+        rows, arrays = block.rows, block.arrays
         rest = torch.stack([self.rest[frames.names[row].subject] for row in rows])
-        for name, hand in (("verts_rhand", frames.hand), ("verts_rhand_f", frames.noisy)):
-            if name in arrays:
-                off[name] = (self.hand(hand.select(rows), rest).vertices - arrays[name]).norm(dim=-1)
+        vertices = self.hand(frames.hand.select(rows), rest).vertices
+        off = {"hand_to_object": self.to_mesh(frames, rows, vertices).amin(1, keepdim=True)}
+        if "verts_rhand" in arrays:
+            off["verts_rhand"] = (vertices - arrays["verts_rhand"]).norm(dim=-1)
+        if "verts_rhand_f" in arrays:
+            noisy = self.hand(frames.noisy.select(rows), rest).vertices
+            off["verts_rhand_f"] = (noisy - arrays["verts_rhand_f"]).norm(dim=-1)
         if "verts_object" in arrays:
             off["verts_object"] = self.to_mesh(frames, rows, arrays["verts_object"])
         if "bps_object" in arrays:
@@ -137,8 +142,8 @@ def compare(
         task = progress.add_task(f"Comparing with stored vertices ({split})", total=len(rows), completed=done)
         for block in geometry.blocks(rows[done:], names):
             off = comparison.off(frames, block)
-            for name, distances in off.items():
-                _refuse_far(geometry, block, name, distances, tolerance[name])
+            for name in names:
+                _refuse_far(geometry, block, name, off[name], tolerance[name])
             record.add(split, len(block.rows), off)
             progress.advance(task, len(block.rows))
 

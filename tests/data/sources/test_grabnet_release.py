@@ -11,6 +11,7 @@ import sys
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from grabnet.body.hand import OPEN_HANDS, HandModel
 from grabnet.cli.entry import CONFIGS, compose
@@ -107,6 +108,7 @@ def test_the_store_shows_what_the_release_shows(published, tmp_path, meshes):
         off = found["off"]
         for name in ("verts_rhand", "verts_rhand_f", "verts_object"):
             assert 0 <= off[name]["mean_mm"] <= off[name]["max_mm"] < 1e-3
+        assert 0 <= off["hand_to_object"]["max_mm"] < 1e-3  # the mock's foremost vertex is put on the surface
         assert 0.01 < off["bps_object"]["mean_mm"] < 1  # to 2048 points, and to the surface between them
 
 
@@ -116,8 +118,10 @@ def test_every_layout_gives_the_same_frames(published, tmp_path, meshes, layout,
     shown = write_release(tmp_path / "release", meshes, layout, by_rows)
     store = convert(tmp_path / "release", tmp_path / "root", meshes)
     facts = store.card["provenance"]
+    assert facts["compared"]["train"]["off"]["hand_to_object"]["mean_mm"] < 10
     if layout == "parameters":  # with nothing to compare, rotations are GRAB's
-        assert facts["compared"] == {} and set(facts["layout"].values()) == {"parameters only"}
+        assert set(facts["compared"]["train"]["off"]) == {"hand_to_object"}
+        assert set(facts["layout"].values()) == {"parameters only"}
         assert facts["object_rotations"] == "for row vectors"
     else:
         assert facts["compared"]["train"]["off"]["verts_object"]["max_mm"] < 1e-3
@@ -222,7 +226,7 @@ def test_from_zip_files_to_a_trained_step(published, tmp_path, meshes, cache_dir
         assert finish(values, log) == 0, log.read_text()
         metrics = json.loads((tmp_path / model / "metrics.json").read_text())
         assert metrics["test/train/v2v"] > 0
-    assert "3 of 3 frames compared, millimetres off: verts_rhand 0.0000" in log.read_text()
+    assert "3 of 3 frames compared, millimetres off: hand_to_object 0.0000 (at most 0.000" in log.read_text()
     check_shown(FramesStore.load(tmp_path / "root/frames"), published[1], meshes)
 
 
@@ -275,6 +279,16 @@ def test_other_meshes_are_refused(published, tmp_path, meshes):
 def change(path, **arrays):
     content = read_npz(path) | arrays
     np.savez(path, **{k: v for k, v in content.items() if v is not None})
+
+
+def test_hands_far_from_their_objects_are_refused(tmp_path, meshes):
+    """Nothing but parameters, and meshes of other objects."""
+    write_release(tmp_path / "release", meshes, "parameters", frames=MANY)
+    (tmp_path / "meshes").mkdir()
+    for name in ("ball", "block", "can", "ring"):
+        trimesh.creation.icosphere(1, 0.005).export(tmp_path / "meshes" / f"{name}.ply")
+    with pytest.raises(UserError, match=r"data/train: hands posed from its parameters are \d\d\.\d mm from their obj"):
+        convert(tmp_path / "release", tmp_path / "root", tmp_path / "meshes")
 
 
 def test_one_frame_that_disagrees_is_named(release, tmp_path, meshes):
