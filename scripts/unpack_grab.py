@@ -1,4 +1,4 @@
-"""Unpack the zip files of GRAB's release: `python scripts/unpack_grab.py <folder of zips> <folder for GRAB>`."""
+"""Unpack the zip files of GRAB or GrabNet: `python scripts/unpack_grab.py <folder of zips> <folder to unpack into>`."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from grabnet.errors import UserError
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("downloads", type=Path, help="folder with the zip files as downloaded")
-    parser.add_argument("root", type=Path, help="where grab/ and tools/ go; started again, it goes on where it stopped")
+    parser.add_argument("downloads", type=Path, help="folder with the zip files as downloaded, or one zip file")
+    parser.add_argument(
+        "root", type=Path, help="where grab/, tools/ or data/ go; started again, it goes on where it stopped"
+    )
     arguments = parser.parse_args()
     try:
         failures = unpack(arguments.downloads, arguments.root)

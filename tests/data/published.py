@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from grabnet.body.hand import OPEN_HANDS, HandModel
 from grabnet.geometry.mesh import Mesh, load_mesh, save_mesh
+from grabnet.io.npz import read_npz
 
 Frames = Mapping[str, Sequence[tuple[str, str, int]]]
 # (subject, recording, frame) of each split, not in order.
@@ -52,10 +54,10 @@ def write_objects(folder: Path) -> Path:
 
 
 def hand_file(folder: Path) -> Path:
-    """The open hand under the name of the licensed one."""
+    """The open hand under the name and in the format of the licensed one."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "MANO_RIGHT.npz").write_bytes((OPEN_HANDS / "MANO_RIGHT.npz").read_bytes())
-    return folder / "MANO_RIGHT.npz"
+    (folder / "MANO_RIGHT.pkl").write_bytes(pickle.dumps(read_npz(OPEN_HANDS / "MANO_RIGHT.npz")))
+    return folder / "MANO_RIGHT.pkl"
 
 
 def write_release(
@@ -140,14 +142,17 @@ def _grasp(
     return values, show
 
 
-def zip_release(folder: Path, downloads: Path) -> Path:
-    """Pack `data` of a release: `data.zip` with what lies in it, `data__<split>.zip` with what lies in each split."""
-    downloads.mkdir(parents=True, exist_ok=True)
+def zip_release(folder: Path, meshes: Path, downloads: Path) -> Path:
+    """Pack a release and GRAB's meshes as they are downloaded: a zip file of each folder, named by its place.
+
+    `data.zip` holds the files that lie in `data` itself, `data__<split>.zip` all that lies below a split.
+    """
     data = folder / "data"
-    for part in [data, *(path for path in sorted(data.iterdir()) if path.is_dir())]:
-        name = "__".join(part.relative_to(folder).parts)
+    packed = {"data": [data, *data.glob("*.np?")], "tools__object_meshes__contact_meshes": [meshes, *meshes.iterdir()]}
+    packed |= {f"data__{split}": [data / split, *(data / split).rglob("*.npz")] for split in ("train", "val", "test")}
+    downloads.mkdir(parents=True, exist_ok=True)
+    for name, (top, *files) in packed.items():
         with zipfile.ZipFile(downloads / f"{name}.zip", "w") as archive:
-            for file in sorted(data.iterdir() if part == data else part.rglob("*")):
-                if file.is_file():
-                    archive.write(file, str(file.relative_to(part)))
+            for file in files:
+                archive.write(file, str(file.relative_to(top)))
     return downloads

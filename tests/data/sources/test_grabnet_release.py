@@ -215,18 +215,20 @@ def command(root, run_dir, cache_dir, model, *more):
 
 
 def test_from_zip_files_to_a_trained_step(published, tmp_path, meshes, cache_dir):
-    downloads, log = zip_release(published[0], tmp_path / "downloads"), tmp_path / "log.txt"
-    unpack = [sys.executable, CONFIGS.parent / "scripts/unpack_grab.py", downloads, tmp_path / "GrabNet"]
-    subprocess.run(unpack, check=True, capture_output=True)
-    assert files_of(tmp_path / "GrabNet") == files_of(published[0])
-    licensed = ["hand_model=mano", f"hand_model.path={hand_file(tmp_path / 'models')}"]
-    release = [f"data.source.release={tmp_path / 'GrabNet'}", f"objects.dir={meshes}"]
+    """The commands of README's section "With licensed files", on a mock of these."""
+    downloads, root = zip_release(published[0], meshes, tmp_path / "downloads"), tmp_path / "GRAB"
+    subprocess.run([sys.executable, CONFIGS.parent / "scripts/unpack_grab.py", downloads, root], check=True)
+    assert files_of(root / "data") == files_of(published[0] / "data")
+    files = [f"hand_model.path={hand_file(tmp_path / 'models')}", f"data.source.release={root}"]
+    files += ["hand_model=mano", f"objects.dir={root / 'tools/object_meshes/contact_meshes'}"]
+    log = tmp_path / "log.txt"
     for model, more in (("coarsenet", []), ("refinenet", ["source@model.source=published"])):
-        values = command(tmp_path / "root", tmp_path / model, cache_dir, model, *licensed, *release, *more)
+        values = command(tmp_path / "root", tmp_path / model, cache_dir, model, *files, *more)
         assert finish(values, log) == 0, log.read_text()
         metrics = json.loads((tmp_path / model / "metrics.json").read_text())
         assert metrics["test/train/v2v"] > 0
-    assert "3 of 3 frames compared, millimetres off: hand_to_object 0.0000 (at most 0.000" in log.read_text()
+    found = "train: parameters in one file, vertices and BPS in a file for each frame. 3 of 3 frames compared, "
+    assert log.read_text().count(found + "millimetres off: hand_to_object 0.0000 (at most 0.000") == 1
     check_shown(FramesStore.load(tmp_path / "root/frames"), published[1], meshes)
 
 
