@@ -154,20 +154,18 @@ class ParametersOnly(StoredGeometry):
         return f"{self.path} (row {row})"
 
 
-def stored_geometry(folder: Path, split: str, names: Sequence[FrameName], shapes: Shapes) -> StoredGeometry:
+def stored_geometry(path: Path, names: Sequence[FrameName], shapes: Shapes) -> StoredGeometry:
     """What there is of a split besides parameters.
 
     Args:
-        folder: of the split.
-        split: its name.
+        path: of its parameters, `grabnet_<split>.npz`.
         names: of its frames.
         shapes: of a frame's row in each array to look for.
     """
-    path = folder / f"grabnet_{split}.npz"
     one_file = OneFile(path, shapes)
     if one_file.shapes:
         return one_file
-    return FrameFiles(folder, names, shapes) if (folder / "data").is_dir() else ParametersOnly(path)
+    return FrameFiles(path.parent, names, shapes) if (path.parent / "data").is_dir() else ParametersOnly(path)
 
 
 def fitted(

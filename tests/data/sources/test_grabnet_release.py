@@ -326,14 +326,15 @@ def test_an_array_of_too_few_rows_is_named(tmp_path, meshes):
     [
         ("sbj_info.npy", None, r"sbj_info\.npy is missing: unpack the whole release"),
         ("val/frame_names.npz", None, r"val/frame_names\.npz is missing: unpack the whole release"),
-        ("val/grabnet_val.npz", None, r"grabnet_val\.npz .*does not exist"),
+        ("val/grabnet_val.npz", None, r"grabnet_val\.npz is missing: unpack the whole release"),
         ("val/grabnet_val.npz", b"PK\3\4cut", r"grabnet_val\.npz is not a readable \.npz file"),
         ("val/data/s1/ring_lift_1/00001.npz", None, r"ring_lift_1/00001\.npz is missing, .*data\.source\.check=0"),
         ("val/data/s1/ring_lift_1/00001.npz", b"PK\3\4cut", r"ring_lift_1/00001\.npz is not a readable"),
         ("bps.npz", b"cut", r"bps\.npz is not a readable \.npz file"),
         ("sbj_info.npy", np.array([1, 2]), r"sbj_info\.npy holds a ndarray, expected a dict of subjects"),
         ("sbj_info.npy", {"s1": {"rh_vtemp": np.zeros((7, 3))}}, r"rh_vtemp of s1 has shape \(7, 3\)"),
-        ("sbj_info.npy", {"s1": {"rh_vtemp": np.full((778, 3), np.nan)}}, "rh_vtemp of s1 .* not finite"),
+        ("sbj_info.npy", {"s1": {"rh_vtemp": np.full((778, 3), np.nan)}}, "rh_vtemp of s1 .* no finite numbers"),
+        ("sbj_info.npy", {"s1": {"rh_vtemp": np.full((778, 3), "x")}}, "rh_vtemp of s1 .* no finite numbers"),
         ("sbj_info.npy", {"s1": np.random.default_rng(0)}, r"sbj_info\.npy holds a pickled numpy.* is not loaded"),
     ],
 )  # fmt: skip
