@@ -1,6 +1,6 @@
-"""Unpack the zip files of GRAB's release.
+"""Unpack the zip files of GRAB or of the GrabNet data.
 
-grabnet unpack <folder of zips> <folder for GRAB>
+grabnet unpack <folder of zips, or one zip> <folder to unpack into>
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from grabnet.cli.parsed import make_parser, run_parsed
 
 def main() -> int:
     parser = make_parser(__doc__)
-    parser.add_argument("downloads", type=Path, help="folder with the zip files as downloaded")
-    parser.add_argument("root", type=Path, help="where grab/ and tools/ go; started again, it resumes where it stopped")
+    parser.add_argument("downloads", type=Path, help="folder with the zip files as downloaded, or one zip file")
+    parser.add_argument("root", type=Path, help="where grab/, tools/ or data/ go; started again, it resumes")
     parser.set_defaults(call=_unpack)
     return run_parsed(parser)
 

@@ -223,7 +223,9 @@ def start_store(root: Path, recipe: Mapping[str, Any], remedy: str) -> None:
         UserError: the folder holds shards of another recipe, or of none.
     """
     path = root / "recipe.json"
-    if shard_names(root) and not path.exists():
+    if not shard_names(root):
+        path.unlink(missing_ok=True)  # nothing was made by it yet: a refused first try does not bind the next
+    elif not path.exists():
         raise UserError(f"{root} holds frames without a record of what they were made from: {remedy}.")
     claim(path, recipe, remedy)
     for leftover in leftovers(root, "*.*", "shards/*/*.*"):

@@ -1,4 +1,4 @@
-"""Unpacking the release of GRAB: zip files whose names hold the folder they belong in, trusted with nothing."""
+"""Unpacking the releases of GRAB and GrabNet: zip files whose names hold the folder they belong in, none trusted."""
 
 from __future__ import annotations
 
@@ -14,46 +14,50 @@ from rich.progress import track
 from grabnet.errors import UserError
 from grabnet.io.files import existing, replacing
 
-# Bytes that one archive may unpack to; GRAB's largest subject stays well below.
+# Bytes that one archive may unpack to; the frames that GrabNet trains on take 19 GB, GRAB's largest subject less.
 MAX_BYTES = 64 << 30
-MAX_MEMBERS = 100_000
+# One archive may hold the 320,000 frames that GrabNet trains on.
+MAX_MEMBERS = 1_000_000
 
 
 def unpack(downloads: str | Path, root: str | Path, max_bytes: int = MAX_BYTES) -> list[str]:
     """Unpack every `*.zip` in `downloads` below `root`: `grab__s1.zip` into `grab/s1`.
 
     Files that are there already, whole, are kept, so that a stopped run can be started again. An archive is looked
-    through before anything of it is written; one that can't be used is told of, and the others go on.
+    through before anything of it is written; one that can't be used is reported, and the others go on.
 
     Args:
+        downloads: folder of the archives; or one archive, which, if its name has no `__`, is unpacked into `root`.
+        root: where the folders go.
         max_bytes: that one archive may unpack to.
 
     Returns:
         a sentence for each archive that failed.
 
     Raises:
-        UserError: no such folder, or no zip file in it.
+        UserError: no such folder or archive, or no zip file in it.
     """
     downloads, root = existing(downloads, "Folder of downloads"), Path(root)
-    archives = sorted(downloads.glob("*.zip"))
+    is_one = downloads.is_file()
+    archives = [downloads] if is_one else sorted(downloads.glob("*.zip"))
     if not archives:
         raise UserError(f"{downloads} holds no zip file: download GRAB into it first.")
     failures = []
-    for archive in track(archives, "Unpacking"):
+    for archive in archives:
         try:
-            unpack_archive(archive, root, max_bytes)
+            folder = root if is_one and "__" not in archive.stem else target_folder(archive, root)
+            unpack_archive(archive, folder, root, max_bytes)
         except UserError as error:
             failures.append(str(error))
     return failures
 
 
-def unpack_archive(path: Path, root: Path, max_bytes: int = MAX_BYTES) -> None:
-    """Unpack one archive; see `unpack`.
+def unpack_archive(path: Path, folder: Path, root: Path, max_bytes: int = MAX_BYTES) -> None:
+    """Unpack one archive into a folder, which lies in `root`; see `unpack`.
 
     Raises:
         UserError: damaged, encrypted, too large, or a member that is a link or leads out of its folder.
     """
-    folder = target_folder(path, root)
     try:
         with zipfile.ZipFile(path) as archive:
             wanted = list(_checked(path, archive, folder, root, max_bytes))
@@ -62,7 +66,7 @@ def unpack_archive(path: Path, root: Path, max_bytes: int = MAX_BYTES) -> None:
             needed, free = sum(member.file_size for member, _ in missing), shutil.disk_usage(root).free
             if needed > free:
                 raise UserError(f"{path} needs {needed:,} bytes, {root} has {free:,} left: free some space.")
-            for member, file in missing:
+            for member, file in track(missing, f"Unpacking {path.name}"):
                 with archive.open(member) as source, replacing(file) as temporary, temporary.open("wb") as target:
                     shutil.copyfileobj(source, target, 1 << 20)
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError) as error:

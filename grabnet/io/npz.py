@@ -63,11 +63,25 @@ def read_npy(path: str | Path) -> Any:
         raise UserError(f"{path} is not a readable .npy file ({error}).") from None
 
 
+def npz_names(path: str | Path) -> list[str]:
+    """Names of an `.npz`'s arrays.
+
+    Raises:
+        UserError: not an npz file.
+    """
+    path = existing(path, "Archive")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return [name.removesuffix(".npy") for name in archive.namelist()]
+    except _DAMAGE as error:
+        raise UserError(f"{path} is not a readable .npz file ({error}).") from None
+
+
 def npz_rows(path: str | Path, name: str, rows: int) -> Iterator[np.ndarray]:
     """A plain array of an `.npz`, `rows` of its first axis at a time, so that arrays larger than memory can be read.
 
     Raises:
-        UserError: no such archive or array, or an array of objects.
+        UserError: no such archive or array, an array of objects, or rows too large to be read.
     """
     path = existing(path, "Archive")
     try:
@@ -76,6 +90,10 @@ def npz_rows(path: str | Path, name: str, rows: int) -> Iterator[np.ndarray]:
             if dtype.hasobject or fortran or not shape:
                 raise UserError(f"{path}: {name} is no plain array of rows.")
             per_row = dtype.itemsize * int(np.prod(shape[1:]))
+            if rows * per_row > MAX_BYTES:
+                raise UserError(
+                    f"{path}: {name} has rows of {per_row:,} bytes; at most {MAX_BYTES // rows:,} are read."
+                )
             for start in range(0, shape[0], rows):
                 n = min(rows, shape[0] - start)
                 data = stream.read(n * per_row)

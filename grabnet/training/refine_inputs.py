@@ -66,7 +66,7 @@ class StoredNoise(RefineInput):
         if batch.noisy is None:
             raise UserError(
                 "The frames store holds no noisy hands to start from: use data=grabnet_release "
-                "data.source.noisy=true, or source@model.source=noise."
+                "data.source.noisy=true, or source=noise."
             )
         return batch.noisy
 

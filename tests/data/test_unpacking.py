@@ -10,7 +10,7 @@ import zipfile
 import pytest
 
 from grabnet.cli.entry import CONFIGS
-from grabnet.data.unpacking import unpack, unpack_archive
+from grabnet.data.unpacking import target_folder, unpack, unpack_archive
 from grabnet.errors import UserError
 
 SCRIPT = CONFIGS.parent / "scripts" / "unpack_grab.py"
@@ -65,7 +65,7 @@ def test_a_second_run_writes_only_what_is_missing(downloads, tmp_path):
 def test_paths_that_lead_out_are_refused(tmp_path, name):
     archive = zipped(tmp_path / "grab__s1.zip", {"fine.npz": b"fine", name: b"evil"})
     with pytest.raises(UserError, match="leads out of"):
-        unpack_archive(archive, tmp_path / "GRAB")
+        unpack_archive(archive, tmp_path / "GRAB/grab/s1", tmp_path / "GRAB")
     assert not (tmp_path / "GRAB").exists(), "not even the files before it"
 
 
@@ -75,7 +75,7 @@ def test_links_and_devices_are_refused(tmp_path, kind):
     member.create_system, member.external_attr = 3, (kind | 0o777) << 16
     archive = zipped(tmp_path / "grab__s1.zip", {member: b"/etc/passwd"})
     with pytest.raises(UserError, match="is a link or device"):
-        unpack_archive(archive, tmp_path / "GRAB")
+        unpack_archive(archive, tmp_path / "GRAB/grab/s1", tmp_path / "GRAB")
     assert not (tmp_path / "GRAB").exists()
 
 
@@ -85,7 +85,7 @@ def test_links_that_lie_there_are_not_followed(tmp_path):
     (tmp_path / "GRAB/grab").symlink_to(tmp_path / "elsewhere")
     archive = zipped(tmp_path / "grab__s1.zip", {"a.npz": b"a"})
     with pytest.raises(UserError, match="through a link"):
-        unpack_archive(archive, tmp_path / "GRAB")
+        unpack_archive(archive, tmp_path / "GRAB/grab/s1", tmp_path / "GRAB")
     assert not list((tmp_path / "elsewhere").iterdir())
 
 
@@ -93,7 +93,7 @@ def test_bombs_are_refused_before_they_unpack(tmp_path):
     archive = zipped(tmp_path / "grab__s1.zip", {f"{k}.npz": bytes(10**6) for k in range(5)})
     assert archive.stat().st_size < 10**5
     with pytest.raises(UserError, match="unpacks to 5,000,000 bytes; at most 4,000,000"):
-        unpack_archive(archive, tmp_path / "GRAB", max_bytes=4 * 10**6)
+        unpack_archive(archive, tmp_path / "GRAB/grab/s1", tmp_path / "GRAB", max_bytes=4 * 10**6)
     assert not (tmp_path / "GRAB").exists()
 
 
@@ -107,14 +107,24 @@ def test_a_size_that_lies_does_not_get_more_written(tmp_path):
     data[at : at + 4] = (10).to_bytes(4, "little")
     archive.write_bytes(data)
     with pytest.raises(UserError, match="no whole zip file"):
-        unpack_archive(archive, tmp_path / "GRAB", max_bytes=100)
+        unpack_archive(archive, tmp_path / "GRAB/grab/s1", tmp_path / "GRAB", max_bytes=100)
     assert not tree(tmp_path / "GRAB")
 
 
 @pytest.mark.parametrize("name", ["__.zip", "grab__...zip", "a__ __b.zip", "....zip"])
 def test_names_without_a_folder_are_refused(tmp_path, name):
     with pytest.raises(UserError, match="has a name that holds no folder"):
-        unpack_archive(zipped(tmp_path / name, {"a": b"a"}), tmp_path / "GRAB")
+        target_folder(zipped(tmp_path / name, {"a": b"a"}), tmp_path / "GRAB")
+    (failure,) = unpack(tmp_path, tmp_path / "GRAB")
+    assert "has a name that holds no folder" in failure and not (tmp_path / "GRAB").exists()
+
+
+def test_one_archive_goes_where_its_name_says_or_into_the_root(downloads, tmp_path):
+    assert unpack(downloads / "grab__s1.zip", tmp_path / "GRAB") == []
+    assert tree(tmp_path / "GRAB").keys() == {"grab/s1/mug_pass_1.npz", "grab/s1/cup_lift.npz"}
+    plain = zipped(tmp_path / "grabnet.zip", {"data/bps.npz": b"bps", "data/train/frame_names.npz": b"names"})
+    subprocess.run([sys.executable, SCRIPT, plain, tmp_path / "GrabNet"], check=True)
+    assert tree(tmp_path / "GrabNet") == {"data/bps.npz": b"bps", "data/train/frame_names.npz": b"names"}
 
 
 def test_one_bad_archive_does_not_stop_the_others(downloads, tmp_path):

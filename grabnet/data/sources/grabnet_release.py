@@ -1,84 +1,106 @@
-"""The published GrabNet training data (ref. 2): poses are read, and what else it stores of a frame is recomputed."""
+"""The published GrabNet training data (ref. 2): parameters are read; stored vertices and BPS are compared with them."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from functools import cache, cached_property
-from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from grabnet.body.hand import HandModel, HandParameters
+from grabnet.cli.checks import at_least
 from grabnet.data.objects import object_files
 from grabnet.data.sources.base import FrameSource, HandFrames
+from grabnet.data.sources.release_comparison import Comparison, ComparisonRecord, PosedFrames, compare, sample_rows
+from grabnet.data.sources.release_geometry import StoredGeometry, fitted, stored_geometry
+from grabnet.data.sources.release_names import FrameName, read_frame_names
 from grabnet.data.splits import SPLITS
 from grabnet.errors import UserError
-from grabnet.geometry.mesh import Mesh, load_mesh
+from grabnet.geometry.bps import BPS
+from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.queries import MeshQuery
-from grabnet.io.files import existing
-from grabnet.io.npz import npz_rows, read_npy, read_npz
+from grabnet.io.files import existing, sha256
+from grabnet.io.npz import npz_rows, read_npy
 
 log = logging.getLogger(__name__)
 
-# Raise it when the same release would give other frames.
-FORMAT = 1
-# Frames read at a time from the arrays of vertices, which take tens of gigabytes.
-_ROWS = 512
-# Metres that stored vertices may lie off the hands that we make of the same parameters, or off the objects' meshes, on
-# average: further, and model, meshes or conventions are others.
-_TOLERANCE = 0.001
+# Raise it when the same release would give other frames or findings.
+FORMAT = 2
+# Rows of parameters read at a time.
+_ROWS = 4096
+# Points on an object's surface that are stored of a frame.
+_POINTS = 2048
+# Frames by which it is found out how the objects' rotations are to be read.
+_FEW = 16
 _HAND = {"global_orient_rhand_rotmat": (3, 3), "fpose_rhand_rotmat": (15, 3, 3), "trans_rhand": (3,)}
 _OBJECT = {"root_orient_obj_rotmat": (3, 3), "trans_obj": (3,)}
+# Metres between an object and the nearest vertex of a hand that grasps it, at most.
+_REACH = 0.01
 # Ends the names of the noisy hands' arrays.
 _NOISY = "_f"
-
-
-class _Arrays(NamedTuple):
-    """What one split of the release shows, a row per frame, in the world.
-
-    true, noisy: hands; noisy is None where they are left out. rotations, transl: (N, 3, 3) and (N, 3) of the objects.
-    """
-
-    true: HandParameters
-    noisy: HandParameters | None
-    rotations: Tensor
-    transl: Tensor
 
 
 class GrabnetRelease(FrameSource):
     """The published data.
 
+    An object's mesh stands in the release's world with the middle of its bounding box where the origin of its frame
+    is (ref. 2). GRAB turns row vectors (ref. 1); where object points are stored, they decide whether the release does.
+
     Args:
         release: folder with the published `data` in it, or that folder itself.
+        root: of the data set that is written; its store keeps what was compared, so that a killed call goes on.
         objects_dir: folder with a mesh for each object, such as GRAB's contact meshes.
         hand: the right hand that the data were made with, MANO's.
         noisy: keep the noisy hands, too, which RefineNet may start from (`StoredNoise`).
+        check: number of frames of each split that are compared with stored vertices and BPS, or "all".
+        tolerance: metres that the vertices of a compared frame may be off on average.
+        bps_tolerance: the same of its BPS, whose distances are to points that lie apart on the object.
+        seed: of the choice of these frames, which is spread over subjects and objects.
 
     Raises:
-        UserError: here or when read: a file or array that is missing or misshapen; hands or objects that don't come
-            out as stored.
+        UserError: here or when read: a value out of range; a file or array that is missing or misshapen; hands or
+            objects that don't come out as stored.
     """
 
-    def __init__(self, release: str, objects_dir: str, hand: HandModel, noisy: bool):
-        self.release = Path(release)
-        self.objects_dir = objects_dir
-        self.hand = hand
-        self.noisy = noisy
-        self._mesh: Callable[[str], Mesh] = cache(lambda name: load_mesh(self._meshes[name]))
-        self._split: tuple[str, _Arrays] | None = None  # read last: each takes gigabytes
-        self._checks: dict[str, dict[str, dict[str, float]]] = {}
+    def __init__(
+        self,
+        release: str,
+        root: str,
+        objects_dir: str,
+        hand: HandModel,
+        noisy: bool = True,
+        check: int | str = 512,
+        tolerance: float = 0.001,
+        bps_tolerance: float = 0.004,
+        seed: int = 0,
+    ):
+        if check != "all" and (type(check) is not int or check < 0):
+            raise UserError(f"data.source.check is {check}; it must be a number of frames, 0 or more, or all.")
+        self.release, self.root, self.objects_dir = Path(release), Path(root), objects_dir
+        self.hand, self.noisy, self.check, self.seed = hand, noisy, check, seed
+        self.tolerance, self.bps_tolerance = tolerance, bps_tolerance
+        at_least(self, "data.source.", tolerance=0, bps_tolerance=0, seed=0)
+        self._query = cache(lambda name: MeshQuery(load_mesh(self._meshes[name])))
+        self._read_last: tuple[str, PosedFrames] | None = None  # one split takes up to 0.4 GB
 
     def recipe(self) -> dict[str, Any]:
+        files = [self._piece(f"{split}/frame_names.npz") for split in SPLITS] + [self._piece("sbj_info.npy")]
+        shown = {sequence.split("/")[1].split("_")[0] for sequence in self._rows}
         return {
             "source": "published GrabNet data",
             "format": FORMAT,
-            "frames": {split: len(names) for split, names in self._names.items()},
+            "names_sha256": sha256(*files),
+            "meshes_sha256": sha256(*(self._meshes[name] for name in sorted(shown))),
             "noisy": self.noisy,
+            "check": self.check,
+            "tolerance": self.tolerance,
+            "bps_tolerance": self.bps_tolerance,
+            "seed": self.seed,
         }
 
     def objects(self) -> Mapping[str, Path]:
@@ -88,38 +110,67 @@ class GrabnetRelease(FrameSource):
         return self._subjects
 
     def sequences(self) -> Iterable[str]:
-        return self._rows
+        """Names of all sequences, one split after the other, each compared first."""
+        for split in SPLITS:
+            self._compare(split)
+            yield from (name for name, (of, _) in self._rows.items() if of == split)
 
     def read(self, sequence: str) -> HandFrames:
         split, rows = self._rows[sequence]
-        names, arrays = self._names[split], self._arrays(split)
-        first = names[rows[0]]
+        names, posed = self._names[split], self._posed(split)
+        first, rotations = names[rows[0]], posed.rotations[rows]
         return HandFrames(
             subject=first.subject,
             object=first.object,
             intent=first.action,
             frame=torch.tensor([names[row].frame for row in rows]),
-            hand=arrays.true.select(rows),
-            object_rotation=arrays.rotations[rows],
-            object_transl=arrays.transl[rows],
-            noisy=None if arrays.noisy is None else arrays.noisy.select(rows),
+            hand=posed.hand.select(rows),
+            object_rotation=rotations,
+            object_transl=posed.transl[rows] - (rotations @ posed.middle[rows].unsqueeze(2)).squeeze(2),
+            noisy=None if posed.noisy is None else posed.noisy.select(rows),
         )
 
     def facts(self) -> dict[str, Any]:
-        """How far the stored hand vertices lie from those that we make of the stored poses, millimetres."""
-        for split in SPLITS:
-            if split not in self._checks:  # its shards were written by an earlier call
-                self._arrays(split)
-        return {"hand_vertices_mm": {split: self._checks[split] for split in SPLITS}}
+        """How the release lies on disk, how it was read, and how far frames lie off what it stores."""
+        return {
+            "layout": {split: self._geometry[split].layout for split in SPLITS},
+            "parameters_sha256": {split: sha256(self._parameters_file(split)) for split in SPLITS},
+            "object_rotations": f"for {'row' if self._turns_rows else 'column'} vectors",
+            "compared": self._record.millimetres(),
+        }
 
     @cached_property
     def _folder(self) -> Path:
         folder = existing(self.release, "Published data (data.source.release)")
         return folder / "data" if (folder / "data").is_dir() else folder
 
+    def _piece(self, name: str) -> Path:
+        """A file of the release."""
+        path = self._folder / name
+        if not path.is_file():
+            raise UserError(
+                f"{path} is missing: unpack the whole release (scripts/unpack_grab.py), and name the folder that holds "
+                f"train, val, test and sbj_info.npy as data.source.release."
+            )
+        return path
+
+    def _parameters_file(self, split: str) -> Path:
+        return self._piece(f"{split}/grabnet_{split}.npz")
+
     @cached_property
     def _names(self) -> dict[str, list[FrameName]]:
-        return {split: read_frame_names(self._folder / split / "frame_names.npz") for split in SPLITS}
+        names = {split: read_frame_names(self._piece(f"{split}/frame_names.npz")) for split in SPLITS}
+        shown = {(name.subject, name.object) for split in SPLITS for name in names[split]}
+        for what, there, known, source in (
+            ("subjects", {subject for subject, _ in shown}, self._subjects, self._folder / "sbj_info.npy"),
+            ("objects", {name for _, name in shown}, self._meshes, f"objects.dir={self.objects_dir}"),
+        ):
+            if unknown := sorted(there - known.keys()):
+                raise UserError(
+                    f"{self._folder} shows {what} that {source} does not have: {', '.join(unknown)}; it has "
+                    f"{', '.join(known) or 'none'}."
+                )
+        return names
 
     @cached_property
     def _meshes(self) -> dict[str, Path]:
@@ -127,7 +178,7 @@ class GrabnetRelease(FrameSource):
 
     @cached_property
     def _subjects(self) -> dict[str, Tensor]:
-        return read_subjects(self._folder / "sbj_info.npy", len(self.hand.v_template))
+        return read_subjects(self._piece("sbj_info.npy"), len(self.hand.v_template))
 
     @cached_property
     def _rows(self) -> dict[str, tuple[str, list[int]]]:
@@ -137,133 +188,133 @@ class GrabnetRelease(FrameSource):
             for row in sorted(range(len(names)), key=lambda row: names[row].frame):
                 sequence = names[row].sequence
                 if found.setdefault(sequence, (split, []))[0] != split:
-                    raise UserError(f"{self._folder}: {sequence} is in {found[sequence][0]} and in {split}.")
+                    raise UserError(
+                        f"{self._folder}: {sequence} is in {found[sequence][0]} and in {split}: download it again."
+                    )
                 found[sequence][1].append(row)
         return found
 
-    def _arrays(self, split: str) -> _Arrays:
-        """All frames of a split, compared with the vertices stored beside them."""
-        if self._split is not None and self._split[0] == split:
-            return self._split[1]
-        self._split = None
-        path, names = self._folder / split / f"grabnet_{split}.npz", self._names[split]
-        for what, there, known in (("subjects", {n.subject for n in names}, self._subjects),
-                                   ("objects", {n.object for n in names}, self._meshes)):  # fmt: skip
-            if unknown := sorted(there - known.keys()):
-                raise UserError(f"{path} shows {what} that are not known: {', '.join(unknown)}; there are {[*known]}.")
-        hands, checks = {}, {}
-        for kind, ending in ({"true": ""} | ({"noisy": _NOISY} if self.noisy else {})).items():
-            arrays = (_parameters(path, name + ending, shape, len(names)) for name, shape in _HAND.items())
-            hands[kind] = HandParameters(*arrays)
-            off = checks[kind] = self._compare_hands(path, "verts_rhand" + ending, names, hands[kind])
-            log.info("%s hands of %s come out %.4f mm off on average, %.4f at most.", kind, split, *off.values())
-        turns, transl = (_parameters(path, name, shape, len(names)) for name, shape in _OBJECT.items())
-        rotations = self._object_rotations(path, names, turns, transl)
-        self._split = split, _Arrays(hands["true"], hands.get("noisy"), rotations, transl)
-        self._checks[split] = checks
-        return self._split[1]
+    @cached_property
+    def _basis(self) -> Tensor | None:
+        path = self._folder / "bps.npz"
+        return BPS.load(path).basis if path.is_file() else None
 
-    def _compare_hands(self, path: Path, array: str, names: list[FrameName], hand: HandParameters) -> dict[str, float]:
-        """Mean and largest distance of an array's hand vertices to those of our model, millimetres."""
-        v_template = torch.stack([*self._subjects.values()])
-        number = {name: k for k, name in enumerate(self._subjects)}
-        total, largest, start = 0.0, 0.0, 0
-        for stored in npz_rows(path, array, _ROWS):
-            part = slice(start, start + len(stored))
-            rest = v_template[[number[name.subject] for name in names[part]]]
-            if stored.shape[1:] != rest.shape[1:] or len(rest) < len(stored):
-                raise UserError(f"{path}: {array} has rows {stored.shape}, expected {tuple(rest.shape)}.")
-            apart = (self.hand(hand.select(part), rest).vertices - torch.tensor(stored)).norm(dim=-1)
-            total, largest, start = total + apart.mean(1).sum().item(), max(largest, apart.max().item()), part.stop
-        if not total / len(names) < _TOLERANCE:
+    @cached_property
+    def _geometry(self) -> dict[str, StoredGeometry]:
+        n_vertices = len(self.hand.v_template)
+        shapes = {"verts_rhand": (n_vertices, 3), "verts_object": (_POINTS, 3)}
+        if self.noisy:
+            shapes["verts_rhand_f"] = (n_vertices, 3)
+        if self._basis is not None:
+            shapes["bps_object"] = (len(self._basis),)
+        return {split: stored_geometry(self._parameters_file(split), self._names[split], shapes) for split in SPLITS}
+
+    @cached_property
+    def _comparison(self) -> Comparison:
+        return Comparison(self.hand, self._subjects, self._query, self._basis)
+
+    @cached_property
+    def _record(self) -> ComparisonRecord:
+        recipe = self.recipe() | {"hand_sha256": self.hand.fingerprint}
+        return ComparisonRecord(self.root / "frames" / "compared.json", recipe)
+
+    def _compare(self, split: str) -> None:
+        """Compare the chosen frames of a split with what is stored of them, and say what was found."""
+        geometry, names = self._geometry[split], self._names[split]
+        n = len(names) if self.check == "all" else min(self.check, len(names))
+        if self._record.frames(split) < n:
+            tolerance = dict.fromkeys(geometry.shapes, self.tolerance) | {"bps_object": self.bps_tolerance}
+            rows = self._sample(split, n)
+            compare(self._comparison, self._posed(split), geometry, rows, tolerance, self._record, split)
+        elif not n:
+            log.warning("%s: %s, of which nothing is compared (data.source.check=0).", split, geometry.layout)
+            return
+        found = self._record.millimetres()[split]
+        off = (f"{name} {o['mean_mm']:.4f} (at most {o['max_mm']:.4f})" for name, o in found["off"].items())
+        log.info(
+            "%s: %s. %s of %s frames compared, millimetres off: %s.",
+            split, geometry.layout, f"{n:,}", f"{len(names):,}", ", ".join(off),
+        )  # fmt: skip
+        if (apart := found["off"]["hand_to_object"]["mean_mm"]) > 1e3 * _REACH:
             raise UserError(
-                f"{path}: hands made of its poses lie {1e3 * total / len(names):.1f} mm off its {array}: pass the "
-                f"model that they were made with, hand_model=mano hand_model.path=<MANO_RIGHT.npz>."
+                f"{self._folder / split}: hands posed from its parameters are {apart:.1f} mm from their objects on "
+                f"average, and grasps touch: pass the hand model and the meshes that the data were made with "
+                f"(hand_model.path, objects.dir)."
             )
-        return {"mean": 1e3 * total / len(names), "max": 1e3 * largest}
 
-    def _object_rotations(self, path: Path, names: list[FrameName], stored: Tensor, transl: Tensor) -> Tensor:
-        """(N, 3, 3) from the objects' frames to the world.
+    def _sample(self, split: str, n: int) -> Tensor:
+        """n rows of a split, ascending."""
+        return sample_rows(self._names[split], n, [self.seed, SPLITS.index(split)]).sort().values
 
-        GRAB turns row vectors; whether these matrices are to be read so or for column vectors, the stored object
-        points tell.
-        """
-        queries = cache(lambda name: MeshQuery(self._mesh(name)))
-        off = {"rows": [], "columns": []}
-        for k, points in enumerate(npz_rows(path, "verts_object", _ROWS)):
-            row = k * _ROWS
-            local = torch.tensor(points[0]) - transl[row]
-            for kind, turned in (("rows", local @ stored[row].T), ("columns", local @ stored[row])):
-                off[kind].append(queries(names[row].object).closest(turned).distance.mean().item())
-        kind = min(off, key=lambda kind: np.mean(off[kind]))
-        if not max(off[kind]) < _TOLERANCE:
-            raise UserError(
-                f"{path}: its object points lie {1e3 * max(off[kind]):.1f} mm off the meshes of objects.dir: pass the "
-                f"meshes that they were made with."
-            )
-        return stored.mT if kind == "rows" else stored
+    @cached_property
+    def _turns_rows(self) -> bool:
+        """Whether the objects' rotations are for row vectors, as GRAB's are; stored object points decide if any are."""
+        if self.check == 0:
+            return True
+        for split in SPLITS:
+            if self._record.turns_rows is None and "verts_object" in self._geometry[split].shapes:
+                rows, by_rows = self._sample(split, _FEW), self._by_rows(split)
+                by_columns = by_rows._replace(rotations=by_rows.rotations.mT)
+                geometry = self._geometry[split]
+                off = [self._comparison.points_off(posed, geometry, rows) for posed in (by_rows, by_columns)]
+                self._record.turns_rows = off[0] <= max(off[1], self.tolerance)
+        return self._record.turns_rows is not False
 
+    def _posed(self, split: str) -> PosedFrames:
+        frames = self._by_rows(split)
+        return frames if self._turns_rows else frames._replace(rotations=frames.rotations.mT)
 
-@dataclass(frozen=True)
-class FrameName:
-    """What the name of a published frame says: `…/s1/mug_pass_1/00123.npz`."""
+    def _by_rows(self, split: str) -> PosedFrames:
+        """All frames of a split, if the objects' rotations are for row vectors."""
+        if self._read_last is None or self._read_last[0] != split:
+            self._read_last = None
+            path, names = self._parameters_file(split), self._names[split]
 
-    subject: str
-    take: str
-    frame: int
+            def read(arrays: Mapping[str, tuple[int, ...]], ending: str = "") -> list[Tensor]:
+                return [_parameters(path, name + ending, shape, len(names)) for name, shape in arrays.items()]
 
-    @property
-    def sequence(self) -> str:
-        return f"{self.subject}/{self.take}"
-
-    @property
-    def object(self) -> str:
-        return self.take.split("_")[0]
-
-    @property
-    def action(self) -> str:
-        return self.take.partition("_")[2].rpartition("_")[0]
-
-
-def read_frame_names(path: Path) -> list[FrameName]:
-    """Names in a `frame_names.npz`.
-
-    Raises:
-        UserError: not one array of text, or names of another form.
-    """
-    arrays = [np.asarray(array) for array in read_npz(path).values()]
-    if len(arrays) != 1 or arrays[0].ndim != 1:
-        raise UserError(f"{path} holds {len(arrays)} arrays, expected one list of frame names.")
-    names = []
-    for text in arrays[0]:
-        *_, subject, take, file = ("", "", "", *PurePosixPath(str(text)).parts)
-        if not (subject and take.count("_") >= 2 and file.removesuffix(".npz").isdecimal()):
-            raise UserError(f"{path}: '{text}' is no frame name like …/s1/mug_pass_1/00123.npz.")
-        names.append(FrameName(subject, take, int(file.removesuffix(".npz"))))
-    return names
+            hand = HandParameters(*read(_HAND))
+            noisy = HandParameters(*read(_HAND, _NOISY)) if self.noisy else None
+            rotations, transl = read(_OBJECT)
+            middle = cache(lambda name: torch.as_tensor(load_mesh(self._meshes[name]).bounds).mean(0))
+            middles = torch.stack([middle(name.object) for name in names])
+            self._read_last = split, PosedFrames(names, hand, noisy, rotations.mT, middles, transl)
+        return self._read_last[1]
 
 
 def read_subjects(path: Path, n_vertices: int) -> dict[str, Tensor]:
     """(V, 3) right hand of each subject, from `sbj_info.npy`.
 
     Raises:
-        UserError: no dict of subjects, or a hand that is missing or misshapen.
+        UserError: no dict of subjects, or a hand that is missing, misshapen or not finite.
     """
     stored = read_npy(path)
     if not isinstance(stored, dict):
-        raise UserError(f"{path} holds a {type(stored).__name__}, expected a dict of subjects.")
+        raise UserError(f"{path} holds a {type(stored).__name__}, expected a dict of subjects: download it again.")
     hands = {}
     for name, facts in stored.items():
         v_template = np.asarray(facts.get("rh_vtemp") if isinstance(facts, dict) else None)
-        if v_template.shape != (n_vertices, 3):
-            raise UserError(f"{path}: rh_vtemp of {name} has shape {v_template.shape}, expected ({n_vertices}, 3).")
+        is_numeric = v_template.dtype.kind in "fiu" and np.isfinite(v_template).all()
+        if v_template.shape != (n_vertices, 3) or not is_numeric:
+            raise UserError(
+                f"{path}: rh_vtemp of {name} has shape {v_template.shape}, or no finite numbers; expected "
+                f"({n_vertices}, 3): download it again."
+            )
         hands[str(name)] = torch.as_tensor(v_template, dtype=torch.float32)
     return hands
 
 
 def _parameters(path: Path, name: str, shape: tuple[int, ...], n: int) -> Tensor:
-    """(n, *shape) of an array whose rows may have a further axis of one."""
-    values = np.concatenate(list(npz_rows(path, name, _ROWS)))
-    if len(values) != n or values[0].size != np.prod(shape) or not np.isfinite(values).all():
-        raise UserError(f"{path}: {name} is of shape {values.shape}, or not finite; expected {(n, *shape)}.")
-    return torch.tensor(values, dtype=torch.float32).reshape(n, *shape)
+    """(n, *shape) float32 of an array, read in pieces."""
+    values, start = np.empty((n, *shape), np.float32), 0
+    for chunk in npz_rows(path, name, _ROWS):
+        stop = start + len(chunk)
+        if stop <= n:
+            values[start:stop] = fitted(chunk, (len(chunk),), shape, str(path), name)
+        start = stop
+    if start != n:
+        raise UserError(
+            f"{path}: {name} has {start:,} rows, and {path.parent / 'frame_names.npz'} names {n:,} frames: download "
+            f"both again."
+        )
+    return torch.as_tensor(values)
