@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 from grabnet.cli.entry import hydra_entry
 from grabnet.cli.quoting import quoted
 
-PATHS = ("data.root", "data.models", "output", "cache_dir")
+PATHS = ("data.root", "data.models", "data.contact_output", "output", "cache_dir")
 
 
 @hydra_entry("preprocess/preprocess")

@@ -56,8 +56,8 @@ class Bones:
         return cls(points, np.array(ends), np.array(labels, np.uint8))
 
     def segments(self, vertices: np.ndarray) -> np.ndarray:
-        """(B, 2, 3) ends of the bones of a body at `vertices` (V, 3)."""
-        return (self.points @ vertices)[self.ends]
+        """(B, 2, 3) ends of the bones of a body at `vertices` (V or more, 3); what comes after V is ignored."""
+        return (self.points @ vertices[: self.points.shape[1]])[self.ends]
 
     def nearest_parts(self, vertices: np.ndarray, places: np.ndarray) -> np.ndarray:
         """(N,) uint8 labels of the bones nearest to places (N, 3), of a body at `vertices` (V, 3)."""
