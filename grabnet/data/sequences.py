@@ -113,7 +113,9 @@ class Sequence:
 
     Attributes:
         name: `<subject>/<object>_<action>_<k>`, from the file's place.
-        gender, sbj_id, obj_name, motion_intent: as stored. framerate: frames per second.
+        gender, sbj_id, obj_name: as stored.
+        motion_intent: the action, as in "drink", "pass" or "lift"; see `grabnet.data.intents.intent_of`.
+        framerate: frames per second.
         n_comps: principal components of a hand pose.
     """
 

@@ -90,7 +90,8 @@ def test_the_card_counts_and_the_waterfall_adds_up(made):
     frames = card["frames"]
     assert frames["in_all"] == 6 * N_LIFTED
     assert frames["by_split"] == {"test": N_LIFTED, "train": 4 * N_LIFTED, "val": N_LIFTED}
-    assert frames["by_intent"] == {"lift": 3 * N_LIFTED, "look": 0, "pass": N_LIFTED, "use": 2 * N_LIFTED}
+    assert frames["by_intent"] == {"lift": 3 * N_LIFTED, "pass": N_LIFTED, "use": 2 * N_LIFTED}
+    assert frames["by_action"] == {"lift": 3 * N_LIFTED, "look": 0, "pass": N_LIFTED, "use": 2 * N_LIFTED}
     assert frames["by_subject"] == {"s1": 3 * N_LIFTED, "s2": 3 * N_LIFTED}
     shares = card["touching_in_frames"]["all frames"]
     assert (shares["thumb"], shares["index"], shares["ring"]) == (1, 1, 0)
@@ -99,8 +100,10 @@ def test_the_card_counts_and_the_waterfall_adds_up(made):
         rows = list(csv.DictReader(file))
     assert sum(int(row["in all"]) for row in rows) == 7 * N_FRAMES
     assert sum(int(row["min_other_fingers"]) for row in rows) == frames["in_all"]
-    taken = [row for row in rows if row["intent"] == "look"]
-    assert [(r["split"], r["right_hand"], r["min_lift"]) for r in taken] == [("train", str(N_FRAMES - RESTING), "0")]
+    used = [(r["split"], r["right_hand"], r["min_lift"]) for r in rows if r["intent"] == "use"]
+    # In one of the two recordings for training the ball is looked at, where it lies.
+    held = str(N_FRAMES - RESTING)
+    assert used == [("test", held, str(N_LIFTED)), ("train", str(2 * (N_FRAMES - RESTING)), str(N_LIFTED))]
     text = (made / "card.md").read_text()
     assert "30 frames of 7 recordings, of which 1 gave none." in text and "| all frames |30|100 %|100 %|0 %" in text
 

@@ -14,6 +14,7 @@ from grabnet.body.hand import OPEN_HANDS, HandModel
 from grabnet.body.skeleton import LEFT_HAND_PARTS, RIGHT_HAND_PARTS
 from grabnet.body.whole import OPEN_BODY, BodyModel
 from grabnet.contact.annotator import vertex_parts
+from grabnet.data.intents import intent_of
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import load_below, read_sequence
 from grabnet.errors import UserError
@@ -192,6 +193,8 @@ def test_schedule_of_fewer_is_the_start_of_more():
     assert len({entry.name for entry in many}) == 150
     assert {entry.object for entry in many[: len(grasps.objects)]} == set(grasps.objects)
     assert {entry.intent for entry in many} == {"use", "pass", "lift", "offhand"}
+    assert all(intent_of(entry.action) == entry.intent for entry in many)
+    assert {entry.action for entry in many if entry.object == "mug" and entry.intent == "use"} == {"drink"}
     assert {entry.subject for entry in many} == set(grasps.subjects)
     assert {e.subject for e in schedule(grasps, 20, 0, ("s2", "s9"))} == {"s2", "s9"}
 
