@@ -138,7 +138,7 @@ class GrabRecordings(RecordingSource):
                 raise UserError("data.contact_frame says what is written to a folder: give data.contact_output, too.")
             if self.contact_frame % self.every:
                 raise UserError(
-                    f"data.contact_frame is {self.contact_frame}, but only every {self.every}th frame has labels."
+                    f"data.contact_frame is {self.contact_frame}, which has no labels: give a multiple of {self.every}."
                 )
 
     @cached_property
