@@ -4,7 +4,7 @@ The data set's folder gets
     frames/                    the frames store, byte-identical whatever the backend or number of restarts
     tools/object_meshes/…      the objects, so that training finds them
     card.json, card.md         what it is; waterfall.csv: what the filter took away
-    agreement.json             with contact=recompute: how far our labels agree with the files'
+    agreement.json             with data.contact=recompute: how far our labels agree with the files'
     failures.json              recordings that could not be used, with the reason
     waterfall.png, contact.png pictures
     run.json                   when, where and how fast the last run was
