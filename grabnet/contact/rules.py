@@ -12,7 +12,7 @@ PART_BY = ("skinning", "bone")
 
 @dataclass(frozen=True)
 class ContactRules:
-    """The values of `configs/data/contact/`, which explain them.
+    """The values of `configs/shared/contact/`, which explain them.
 
     Attributes:
         measured_to: "surface" or "vertices".
