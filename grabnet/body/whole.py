@@ -101,10 +101,10 @@ class BodyModel(SkinnedModel):
             rest = rest + blended(self.shapedirs[..., start : start + n], values)
         return rest
 
-    def hand_pose_from_pca(self, components: Tensor, side: str, flat_hand_mean: bool = True) -> Tensor:
+    def hand_pose_from_pca(self, components: Tensor, side: str, flat_hand_mean: bool = False) -> Tensor:
         """(..., n) principal components of a `side`, left or right → (..., 45) axis-angle.
 
-        Added to the mean pose unless `flat_hand_mean`; GRAB's are not.
+        Added to the model's mean pose, as those of GRAB's bodies are (ref. 1), unless `flat_hand_mean`.
         """
         pose = components @ getattr(self, f"hands_components{side[0]}")[: components.shape[-1]]
         return pose if flat_hand_mean else pose + getattr(self, f"hands_mean{side[0]}")

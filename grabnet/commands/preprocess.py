@@ -7,7 +7,7 @@ from omegaconf import DictConfig
 
 from grabnet.cli.entry import hydra_entry
 
-PATHS = ("data.root", "data.models", "output", "cache_dir")
+PATHS = ("data.root", "data.models", "data.contact_output", "output", "cache_dir")
 
 
 @hydra_entry("preprocess/preprocess", paths=PATHS)

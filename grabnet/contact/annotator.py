@@ -9,6 +9,7 @@ inside it, but nothing touches them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -16,6 +17,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from grabnet.contact.bones import Bones
 from grabnet.geometry.intersections import Crossings, MovingMesh, find_crossings
 from grabnet.geometry.kernels import queries as kernels
 from grabnet.geometry.kernels.launch import launch
@@ -31,8 +33,9 @@ class Contact:
         object: (V of the object,) uint8, the part of the body that touches each vertex, 0 for none; nonzero is the
             binary label.
         body: (V of the body,) uint8, each touching vertex's own part, 0 for the others.
-        face, barycentric: (V of the object,) int32 and (V of the object, 3), the nearest point of the body to each
-            touched vertex as a body face and weights of its corners: the dense correspondence; -1 and 0 elsewhere.
+        face: (V of the object,) int32, the face of the body nearest to each touched vertex; -1 elsewhere.
+        barycentric: (V of the object, 3) float32, weights of that face's corners that make up the nearest point; NaN
+            elsewhere. With `face` the dense correspondence.
     """
 
     object: np.ndarray
@@ -45,16 +48,34 @@ class ContactAnnotator:
     """Finds contact of a moving body with one object.
 
     Args:
-        thing: the object. rest: (V, 3) a pose of the body, metres. faces: (F, 3) of the body, facing outwards.
+        thing: the object.
+        rest: (V, 3) a pose of the body, metres.
+        faces: (F, 3) of the body, facing outwards.
         parts: (V,) label of each body vertex, 1 … 55 in GRAB; see `vertex_parts`.
         distance: ε, metres, within which surfaces that don't cut each other touch.
+        measured_to: "surface", ε from vertices of either to the surface of the other; "vertices", to the vertices of
+            the other, as the paper has it.
+        bones: of the body; the nearest one labels what touches the object (the paper's way). Without them the part of
+            the nearest skin does.
     """
 
-    def __init__(self, thing: Mesh, rest: np.ndarray, faces: np.ndarray, parts: np.ndarray, distance: float = 0.0045):
+    def __init__(
+        self,
+        thing: Mesh,
+        rest: np.ndarray,
+        faces: np.ndarray,
+        parts: np.ndarray,
+        distance: float = 0.0045,
+        measured_to: str = "surface",
+        bones: Bones | None = None,
+    ):
         self._lids = Lids(len(rest), faces)
         self.body = MovingMesh(self._lids.with_middles(rest), np.concatenate([faces, self._lids.faces]))
         self.thing = MovingMesh(thing.vertices, thing.faces)
-        self.parts, self.distance = np.asarray(parts, np.uint8), distance
+        self.parts = np.asarray(parts, np.uint8)
+        self.distance = distance
+        self.bones = bones
+        self._near_free = self._near_free_vertices if measured_to == "vertices" else self._near_free_surface
         # Of each face: two corners' part, if two agree; lids are no part.
         self.face_parts = np.zeros(len(self.body.faces), np.uint8)
         self.face_parts[: len(faces)] = np.sort(self.parts[faces], 1)[:, 1]
@@ -79,19 +100,57 @@ class ContactAnnotator:
             )
             body[near[reach <= self.distance]] = True
 
-        hovering = self._near_body() & ~touched
-        free = self._skin & ~np.isin(self.face_parts, cutting)
-        face[hovering], position[hovering] = _closest(self.body, self.thing.vertices[hovering], self.distance, free)
+        hovering = (self._near_body() & ~touched).nonzero()[0]
         near = (self._near_object() & ~np.isin(self.parts, cutting)).nonzero()[0]
-        body[near] |= _closest(self.thing, self.body.vertices[near], self.distance)[0] >= 0
+        face[hovering], position[hovering], reached = self._near_free(hovering, near, cutting)
+        body[near] |= reached
 
         found = face >= 0
-        weights = np.zeros((n, 3), np.float32)
+        weights = np.full((n, 3), np.nan, np.float32)
         weights[found] = _barycentric(self.body.vertices[self.body.faces[face[found]]], position[found])
-        corner = self.body.faces[face[found], weights[found].argmax(1)]
         labels = np.zeros(n, np.uint8)
-        labels[found] = self.parts[corner]
+        if self.bones is None:
+            labels[found] = self.parts[self.body.faces[face[found], weights[found].argmax(1)]]
+        elif found.any():
+            labels[found] = self.bones.nearest_parts(vertices, self.thing.vertices[found])
         return Contact(labels, np.where(body, self.parts, 0).astype(np.uint8), face, weights)
+
+    def _near_free_surface(
+        self, hovering: np.ndarray, near: np.ndarray, cutting: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What the parts that cut nothing touch, within ε of surfaces.
+
+        Args:
+            hovering: (N,) object vertices that may be touched.
+            near: (M,) body vertices, of parts that cut nothing, that may touch.
+            cutting: the other parts.
+
+        Returns:
+            face (N,), -1 for none, and position (N, 3) on it, of the body; touching (M,).
+        """
+        free = self._skin & ~np.isin(self.face_parts, cutting)
+        face, position = _closest(self.body, self.thing.vertices[hovering], self.distance, free)
+        return face, position, _closest(self.thing, self.body.vertices[near], self.distance)[0] >= 0
+
+    def _near_free_vertices(
+        self, hovering: np.ndarray, near: np.ndarray, cutting: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As `_near_free_surface`, within ε of vertices."""
+        face, position = np.full(len(hovering), -1, np.int32), np.zeros((len(hovering), 3), np.float32)
+        if not len(hovering) or not len(near):
+            return face, position, np.zeros(len(near), bool)
+        points, vertices = self.thing.vertices[hovering], self.body.vertices[near]
+        is_near = cKDTree(vertices).query(points)[0] <= self.distance
+        # The nearest point of the skin about a vertex is no farther than the vertex, but for rounding.
+        is_free = np.zeros(len(self.body.vertices), bool)
+        is_free[near] = True
+        around = self._skin & is_free[self.body.faces].any(1)
+        face[is_near], position[is_near] = _closest(self.body, points[is_near], 1.001 * self.distance, around)
+        return face, position, self._tree.query(vertices)[0] <= self.distance
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.thing.vertices)
 
     def _closest_skin(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Face (N,) and position (N, 3) of the body nearest to each point, lids left out."""

@@ -4,7 +4,6 @@ On disk:
     <root>/recipe.json                         what it is made from and how; written first
     <root>/store.json                          what it is made of: names, counts, hashes, provenance; written last
     <root>/subjects.safetensors                v_template (S, V, 3) of each subject's right hand
-    <root>/contact.safetensors                 contact (V,), share of training frames in which each hand vertex touches
     <root>/shards/<subject>/<sequence>.safetensors   one per sequence: the unit of parallel work and of resuming
 
 The same frames give the same bytes, whenever and wherever they are written.
@@ -238,7 +237,6 @@ def finish_store(
     v_template: dict[str, Tensor],
     objects: Iterable[str],
     provenance: dict[str, Any],
-    contact: Tensor | None = None,
 ) -> None:
     """Make a store of the shards under `root`: subjects' hands, names, counts; written last, so that it means done.
 
@@ -248,12 +246,9 @@ def finish_store(
         v_template: (V, 3) rest right hand of each subject, by name.
         objects: names of all objects.
         provenance: JSON-able record of what the frames were made from and how.
-        contact: (V,) share of training frames in which each hand vertex touches.
     """
     root = Path(root)
     write_bytes(root / "subjects.safetensors", save({"v_template": torch.stack(list(v_template.values()))}))
-    if contact is not None:
-        write_bytes(root / "contact.safetensors", save({"contact": contact}))
     names = {"subjects": list(v_template), "objects": sorted(objects), "sequences": shard_names(root)}
     facts = {"format": FORMAT, "hand_sha256": hand_sha256}
     write_json(root / "store.json", facts | names | {"provenance": provenance})

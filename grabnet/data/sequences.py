@@ -54,7 +54,7 @@ class HandTrack:
     """Motion of a hand in MANO's parameters.
 
     global_orient, transl: (T, 3). fullpose: (T, 45) axis-angle, exact, on a flat mean. hand_pose: (T, n_comps)
-    principal components, which approximate it. vtemp: path of the subject's template below GRAB's root.
+    principal components on a flat mean, which approximate it. vtemp: path of the subject's template below GRAB's root.
     """
 
     global_orient: np.ndarray
@@ -76,7 +76,8 @@ class HandTrack:
 class BodyTrack:
     """Motion of the whole body in SMPL-X's parameters.
 
-    fullpose: (T, 165) axis-angle of all joints, exact; the hands' (T, n_comps) components approximate theirs.
+    fullpose: (T, 165) axis-angle of all joints, exact; the hands' (T, n_comps) components, about the model's mean
+    hand, approximate theirs.
     expression: (T, 10). vtemp: path of the subject's template below GRAB's root, which replaces betas.
     """
 
@@ -112,7 +113,9 @@ class Sequence:
 
     Attributes:
         name: `<subject>/<object>_<action>_<k>`, from the file's place.
-        gender, sbj_id, obj_name, motion_intent: as stored. framerate: frames per second.
+        gender, sbj_id, obj_name: as stored.
+        motion_intent: the action, as in "drink", "pass" or "lift"; see `grabnet.data.intents.intent_of`.
+        framerate: frames per second.
         n_comps: principal components of a hand pose.
     """
 

@@ -15,7 +15,7 @@ from grabnet.errors import UserError
 class EvaluationConfig:
     """The values of `configs/evaluate.yaml`, which explains them.
 
-    data, hand_model, source and physics are configs of what their groups make.
+    contact, data, hand_model, source and physics are configs of what their groups make.
 
     Raises:
         UserError: a value out of range.
@@ -43,6 +43,7 @@ class EvaluationConfig:
     device: str
     cache_dir: str | None
     objects: dict[str, Any]
+    contact: dict[str, Any]
     hand_model: dict[str, Any]
     data: dict[str, Any]
     source: dict[str, Any]

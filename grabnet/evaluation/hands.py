@@ -12,6 +12,7 @@ from torch import Tensor
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
 from grabnet.body.skeleton import LEFT_HAND_PARTS, RIGHT_HAND_PARTS
+from grabnet.contact.bones import Bones
 from grabnet.geometry.openings import close
 from grabnet.io.files import sha256
 
@@ -72,18 +73,22 @@ class HandLabels:
         parts: (V,) uint8, GRAB's number of each vertex's part.
         anatomy: joint axes and limits.
         joint_regressor: (16, V).
+        bones: that follow the vertices.
     """
 
     finger: np.ndarray
     parts: np.ndarray
     anatomy: Anatomy
     joint_regressor: Tensor
+    bones: Bones
 
     @classmethod
     def of(cls, hand: HandModel) -> HandLabels:
         anatomy = Anatomy.of(hand)
-        parts = np.array(RIGHT_HAND_PARTS if hand.is_right else LEFT_HAND_PARTS, np.uint8)[anatomy.bone.numpy()]
-        return cls(anatomy.finger.numpy(), parts, anatomy, hand.J_regressor)
+        labels = RIGHT_HAND_PARTS if hand.is_right else LEFT_HAND_PARTS
+        parts = np.array(labels, np.uint8)[anatomy.bone.numpy()]
+        bones = Bones.of(hand, hand.v_template.numpy(), labels)
+        return cls(anatomy.finger.numpy(), parts, anatomy, hand.J_regressor, bones)
 
     def fit(self, hands: Hands) -> bool:
         """Whether the hands have this model's vertices."""

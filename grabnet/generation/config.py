@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 
 from grabnet.cli.checks import at_least, one_of
+from grabnet.contact.rules import ContactRules
 from grabnet.errors import UserError
 from grabnet.generation.formats import FORMATS
 from grabnet.generation.grabber import ORIENTATIONS, SIDES
@@ -38,12 +39,14 @@ class SamplingConfig:
     runs: str
     hand_model: str | None
     contact_distance: float
+    contact_maps: bool
     sheet: int
     page: int
     batch_size: int
     n_turns: int
     device: str
     cache_dir: str | None
+    contact: ContactRules = field(default_factory=ContactRules)
 
     def __post_init__(self):
         at_least(self, n=1, seed=0, batch_size=1, n_turns=1, sheet=0, page=0)

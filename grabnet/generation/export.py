@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from grabnet.contact.hands import ContactMaps
+from grabnet.generation.contact_maps import write_contact_maps
 from grabnet.generation.gallery import grasp_sheet
 from grabnet.generation.grasps import RESULTS, Grasps
 from grabnet.generation.viewer import write_viewer
@@ -50,6 +52,7 @@ def write_grasps(
     formats: Sequence[str] = ("glb",),
     sheet: int = 40,
     page: int = 500,
+    contact: ContactMaps | None = None,
 ) -> None:
     """Write everything about one object's grasps into `folder`; nothing of it is to be seen before all is written.
 
@@ -60,10 +63,13 @@ def write_grasps(
         formats: of the meshes.
         sheet: grasps in contact_sheet.png, at most; no picture for 0.
         page: grasps in index.html, at most; no page for 0.
+        contact: of the grasps, for contact.npz and, where `formats` has ply, coloured meshes; not written when omitted.
     """
     with filling(folder, (PAGE, SHEET, *RESULTS)) as temporary:
         if page:
             write_viewer(temporary / PAGE, grasps.first(page), record["name"])
         if sheet:
             save_image(temporary / SHEET, grasp_sheet(grasps.first(sheet)))
+        if contact is not None:
+            write_contact_maps(temporary, contact, grasps, "ply" in formats)
         grasps.write(temporary, formats, record)

@@ -19,8 +19,8 @@ from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.rotations import matrix_to_axis_angle
 from grabnet.io.files import filling, write_json
 
-# What `Grasps.save` writes. The last one is written last: where it lies, the others are complete.
-RESULTS = ("meshes", "grasps.npz", "grasps.json")
+# What a folder of results holds. The last one is written last: where it lies, the others are complete.
+RESULTS = ("meshes", "contact", "contact.npz", "grasps.npz", "grasps.json")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -10,6 +10,7 @@ from grabnet.body.hand import HandModel
 from grabnet.data.objects import MESH_SUFFIXES
 from grabnet.errors import UserError
 from grabnet.generation.config import SamplingConfig, listed, usable_device
+from grabnet.generation.contact_maps import contact_maps
 from grabnet.generation.export import result_folders, write_grasps
 from grabnet.generation.grabber import Grabber
 from grabnet.io.files import existing, sha256
@@ -73,7 +74,8 @@ def run(config: SamplingConfig) -> int:
                 cache_dir=config.cache_dir,
             )
             about = {"name": file.name, "mesh": str(file.resolve()), "mesh_sha256": sha256(file)}
-            write_grasps(folder, grasps, about | record, listed(config.format), sheet, config.page)
+            contact = contact_maps(grasps, hand, config.contact) if config.contact_maps else None
+            write_grasps(folder, grasps, about | record, listed(config.format), sheet, config.page, contact)
             print(f"{file}: {grasps.summary()}; all is in {folder}")
         except UserError as error:
             failures.append(str(error))

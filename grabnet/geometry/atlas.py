@@ -74,7 +74,8 @@ class SDFAtlas(nn.Module):
     def basis_distances(self, basis: Tensor, objects: Tensor, rotations: Tensor, centres: Tensor) -> Tensor:
         """Unsigned distances (B, P) of points (P, 3) to objects as in `forward`: what a basis point set needs.
 
-        Read from the coarse lattices alone: .02 mm off on average, .4 mm in the worst hundredth, in half the time.
+        Read from the coarse lattices alone, in half the time. Measured on the open objects with a ball of 15 cm:
+        .09 mm off on average, .84 mm in the worst hundredth, 3.8 mm at most (ref. 14).
         """
         with torch.no_grad():
             distance = basis.new_empty(len(objects), len(basis))

@@ -70,7 +70,7 @@ class BPS(nn.Module):
             raise ValueError(f"feature_type {sorted(unknown)} is not known; choose from {FEATURES}")
         points = points if points.dim() == 3 else points.unsqueeze(0)
         rows = max(1, chunk // max(1, points.shape[0] * points.shape[1]))
-        exact = "donot_use_mm_for_euclid_dist"  # dot products are faster, but off by up to a millimetre
+        exact = "donot_use_mm_for_euclid_dist"  # dot products are faster, but cancel near the basis points
         nearest = [torch.cdist(b, points, compute_mode=exact).argmin(-1) for b in self.basis.to(points).split(rows)]
         index = torch.cat(nearest, -1)
         closest = points.gather(1, index.unsqueeze(-1).expand(-1, -1, 3))

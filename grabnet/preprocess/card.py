@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from grabnet.body.anatomy import FINGERS
+from grabnet.data.intents import action_of, intent_of
 from grabnet.data.splits import MIRRORED_SUFFIX
 from grabnet.io.files import replacing, write_json
 from grabnet.preprocess.filtering import Waterfall
@@ -36,12 +37,13 @@ class Card:
     ):
         self.headers, self.splits, self.waterfall = headers, splits, Waterfall()
         for name, header in headers.items():
-            self.waterfall.add(splits[name], header["intent"], header["object"], header["counts"]["waterfall"])
+            intent = intent_of(header["intent"])
+            self.waterfall.add(splits[name], intent, header["object"], header["counts"]["waterfall"])
         self.content = {
             "sequences": self._sequences(sorted(failed)),
             "frames": self._frames(),
             "touching_in_frames": self._shares("fingers", lambda header: "all frames"),
-            "touching_in_contact_frames": self._shares("contact", lambda header: header["intent"]),
+            "touching_in_contact_frames": self._shares("contact", lambda header: intent_of(header["intent"])),
             **facts,
             "inputs_sha256": dict(sorted({f: s for h in headers.values() for f, s in h["inputs"].items()}.items())),
         }
@@ -70,12 +72,14 @@ class Card:
         }
 
     def _frames(self) -> dict[str, Any]:
-        """How many there are, in all and by split, intent, object and subject."""
-        counts = {"split": Counter(), "intent": Counter(), "object": Counter(), "subject": Counter()}
+        """How many there are, in all and by split, intent (the paper's four), action, object and subject."""
+        counts = {aspect: Counter() for aspect in ("split", "intent", "action", "object", "subject")}
         for name, header in self.headers.items():
             n = header["counts"]["fingers"]["frames"]
             counts["split"][self.splits[name]] += n
-            for aspect in ("intent", "object", "subject"):
+            counts["intent"][intent_of(header["intent"])] += n
+            counts["action"][action_of(name)] += n
+            for aspect in ("object", "subject"):
                 counts[aspect][header[aspect]] += n
         by = {f"by_{aspect}": dict(sorted(counter.items())) for aspect, counter in counts.items()}
         return {"in_all": counts["split"].total(), **by}
@@ -109,7 +113,7 @@ class Card:
                 content["touching_in_contact_frames"],
             ),
         ]
-        for aspect in ("intent", "subject", "object"):
+        for aspect in ("intent", "action", "subject", "object"):
             lines += [f"## By {aspect}", ""]
             lines += [", ".join(f"{name} {n:,}" for name, n in frames[f"by_{aspect}"].items()) + ".", ""]
         if self.agreement:

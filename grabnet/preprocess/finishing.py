@@ -1,4 +1,4 @@
-"""From shards to a data set: subjects, objects, where hands touch, records, and the store's card at last."""
+"""From shards to a data set: subjects, objects, records, pictures, and the store's card at last."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class Finishing:
         root: the folder.
         recordings: what its shards are of.
         split: which frames are for training, validation and testing.
-        contact_distance: metres within which a hand vertex touches.
+        contact_distance: metres within which a hand vertex touches, in the picture.
         cache_dir: of signed-distance grids; the user's cache folder when omitted.
-        pictures: draw the waterfall and the hand coloured by its contact.
+        pictures: draw the waterfall and the hand coloured by its contact in frames for training.
     """
 
     root: Path
@@ -65,7 +65,6 @@ class Finishing:
         }
         objects = sorted({header["object"] for header in headers.values()})
         hashes = {name: self._place_object(name) for name in objects}
-        contact = self._contact(headers, splits, v_template)
         facts = {
             "recipe": recipe,
             "versions": versions(),
@@ -78,9 +77,10 @@ class Finishing:
             from grabnet.preprocess.pictures import draw_contact, draw_waterfall
 
             draw_waterfall(card.waterfall, self.root / "waterfall.png")
+            contact = self._contact(headers, splits, v_template)
             if contact is not None:
                 draw_contact(self._hand, contact, self.root / "contact.png")
-        finish_store(self.root / "frames", self._hand.fingerprint, v_template, objects, facts, contact)
+        finish_store(self.root / "frames", self._hand.fingerprint, v_template, objects, facts)
 
     @cached_property
     def _hand(self) -> HandModel:

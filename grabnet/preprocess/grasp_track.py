@@ -26,7 +26,7 @@ class GraspTrack:
         name: of the recording, `<subject>/<object>_<action>_<k>`.
         subject: whose hand it is.
         object_name: what it is on.
-        intent: what for.
+        intent: the action, GRAB's `motion_intent`.
         hand: the right hand's motion; its `vtemp` names the subject's rest hand for `RecordingSource.rest`.
         object: the object's motion.
         labels: (T, V of the object) uint8, the part that touches each vertex (ref. 1), 0 for none.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,10 @@ from torch import Tensor
 
 from grabnet.body.hand import OPEN_HANDS, HandModel
 from grabnet.body.whole import OPEN_BODY, BodyModel
-from grabnet.cli.checks import one_of
-from grabnet.contact.sequences import annotate
+from grabnet.cli.checks import at_least, one_of
+from grabnet.contact.folder import ContactFolder
+from grabnet.contact.rules import ContactRules
+from grabnet.contact.sequences import annotate, posed
 from grabnet.data.objects import OBJECT_MESHES, object_files
 from grabnet.data.sequences import Sequence, load_below, read_sequence
 from grabnet.errors import UserError
@@ -83,6 +85,13 @@ class RecordingSource(ABC):
     def read(self, name: str) -> Recording:
         """One recording; a `UserError` where it cannot be used."""
 
+    def start(self) -> None:  # noqa: B027, optional
+        """Make ready for `read` to write files of its own, before any worker starts."""
+
+    def is_complete(self, name: str) -> bool:
+        """Whether all files of its own that `read` writes of a recording are there."""
+        return True
+
     @abstractmethod
     def rest(self, template: str) -> Tensor:
         """(V, 3) rest vertices, metres, of a subject's hand that a `GraspTrack` names as its template."""
@@ -99,9 +108,12 @@ class GrabRecordings(RecordingSource):
         contact: "stored", the labels in the files; or "recompute", labels found from the surfaces.
         contact_distance: ε of `ContactAnnotator`, metres.
         every: n, to find the labels of every n-th frame only.
+        rules: what ε is measured to, and whose part it is, in labels that are found.
+        contact_output: folder that labels found are written to, as a `ContactFolder`; None to write none.
+        contact_frame: number of a frame of each recording that is written there as coloured meshes; None for none.
 
     Raises:
-        UserError: another `contact`.
+        UserError: another `contact`, or values of what is written that do not go together.
     """
 
     root: str
@@ -109,9 +121,25 @@ class GrabRecordings(RecordingSource):
     contact: str
     contact_distance: float
     every: int
+    rules: ContactRules
+    contact_output: str | None = None
+    contact_frame: int | None = None
 
     def __post_init__(self):
         one_of(self, "data.", contact=LABELS)
+        at_least(self, "data.", contact_frame=0)
+        if self.contact_output is not None:
+            if self.contact != "recompute":
+                raise UserError("data.contact_output takes labels found here: give data.contact=recompute, too.")
+            if self._contact_folder.root == self.folder:
+                raise UserError(f"data.contact_output is data.root, {self.folder}, whose recordings would be replaced.")
+        if self.contact_frame is not None:
+            if self.contact_output is None:
+                raise UserError("data.contact_frame says what is written to a folder: give data.contact_output, too.")
+            if self.contact_frame % self.every:
+                raise UserError(
+                    f"data.contact_frame is {self.contact_frame}, which has no labels: give a multiple of {self.every}."
+                )
 
     @cached_property
     def folder(self) -> Path:
@@ -135,11 +163,20 @@ class GrabRecordings(RecordingSource):
     def recipe(self) -> dict[str, Any]:
         genders = ("female", "male") if self.contact == "recompute" else ()
         bodies = sorted({self._body_file(gender) for gender in genders})
+        rules = {"contact_rules": asdict(self.rules)} if self.contact == "recompute" else {}
         return {
             "contact": self.contact,
             "contact_distance": self.contact_distance,
+            **rules,
             "models": {path.name: sha256(path) for path in (self._hand_file, *bodies)},
         }
+
+    def start(self) -> None:
+        if self.contact_output is not None:
+            self._contact_folder.start(self.recipe() | {"every": self.every, "frame": self.contact_frame})
+
+    def is_complete(self, name: str) -> bool:
+        return self.contact_output is None or self._contact_folder.holds(name)
 
     def read(self, name: str) -> GrabRecording:
         files = _Files(self.folder)
@@ -161,6 +198,10 @@ class GrabRecordings(RecordingSource):
     @cached_property
     def _objects(self) -> dict[str, Path]:
         return object_files(self.folder / OBJECT_MESHES)
+
+    @cached_property
+    def _contact_folder(self) -> ContactFolder:
+        return ContactFolder(Path(self.contact_output).resolve())
 
     @property
     def _hand_file(self) -> Path:
@@ -188,10 +229,17 @@ class GrabRecordings(RecordingSource):
                 f"The body has {len(body.v_template)} vertices, {sequence.body.vtemp} {len(v_template)}, "
                 f"and {sequence.name} labels {stored.body.shape[1]}: they must be of one kind."
             )
-        found = annotate(sequence, body, v_template, mesh, self.contact_distance, self.every)
+        annotation = annotate(sequence, body, v_template, mesh, self.contact_distance, self.every, self.rules)
+        found = annotation.labels
+        annotated = replace(sequence, contact=found)
+        if self.contact_output is not None:
+            if (number := self.contact_frame) is not None and number < len(annotated):
+                vertices = posed(annotated, body, v_template, np.array([number]))[0]
+                self._contact_folder.write_frame(annotated, number, mesh, vertices, body.faces.numpy())
+            self._contact_folder.write(annotated, annotation)
         sides = {"object": (found.object, stored.object), "body": (found.body, stored.body)}
         overlaps = {side: overlap(*(labels[:: self.every] for labels in both)) for side, both in sides.items()}
-        return replace(sequence, contact=found), overlaps
+        return annotated, overlaps
 
 
 class GrabRecording(Recording):

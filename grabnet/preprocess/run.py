@@ -4,7 +4,7 @@ The data set's folder gets
     frames/                    the frames store, byte-identical whatever the backend or number of restarts
     tools/object_meshes/…      the objects, so that training finds them
     card.json, card.md         what it is; waterfall.csv: what the filter took away
-    agreement.json             with contact=recompute: how far our labels agree with the files'
+    agreement.json             with data.contact=recompute: how far our labels agree with the files'
     failures.json              recordings that could not be used, with the reason
     waterfall.png, contact.png pictures
     run.json                   when, where and how fast the last run was
@@ -15,13 +15,14 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from grabnet.cli.checks import at_least, one_of
+from grabnet.contact.rules import ContactRules
 from grabnet.data.frames import FORMAT as STORE_FORMAT
 from grabnet.data.frames import read_header, shard_names, shard_path, start_store
 from grabnet.data.objects import OBJECT_MESHES
@@ -61,6 +62,7 @@ class PreprocessConfig:
     dask_address: str | None
     threads: int | None
     max_deaths: int
+    contact: ContactRules = field(default_factory=ContactRules)  # for `data`, whose config refers to it
 
     def __post_init__(self):
         one_of(self, backend=BACKENDS)
@@ -122,7 +124,9 @@ def preprocess(config: PreprocessConfig) -> list[Outcome]:
         start_store(config.store, recipe, f"delete {config.store}, or choose another output=")
         for leftover in leftovers(config.root, *_RECORDS, str(OBJECT_MESHES / "*.*")):
             leftover.unlink()
+        config.data.start()
         done = shards_done(config.store, config.data, names, config.filter.mirror_left)
+        done = {name for name in done if config.data.is_complete(name)}
         outcomes = list(_work(config, names, done))
         failures = sorted((o for o in outcomes if o.failure), key=lambda o: o.name)
         write_json(config.root / "failures.json", {o.name: o.failure for o in failures})

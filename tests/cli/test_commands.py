@@ -23,7 +23,7 @@ CONFIG = {name: name for name in ("train", "evaluate", "benchmark")} | {
 LINES = {
     "sample": ["mesh=a.obj", "mesh=a.obj hand_model=a.npz model=[runs/a,runs/b]"],
     "benchmark": ["suite=hand"],
-    "preprocess": ["data=open"],
+    "preprocess": ["data=open data.contact=recompute"],
     "evaluate": [
         "",
         "hand_model=mano hand_model.path=a.npz",
@@ -139,7 +139,8 @@ def test_help_explains_the_command(command):
         # Groups are those that the command has, and no others.
         shown = set(re.findall(r"^  (\w+)=", ended.stdout.split("──")[0], flags=re.MULTILINE))
         listed = set(re.findall(r"^  - (\w+)[@\w]*:", own, flags=re.MULTILINE)) - {"hydra"}
-        folders = [(CONFIGS / CONFIG[command]).parent, *([CONFIGS / "data"] if command == "preprocess" else [])]
+        folders = [(CONFIGS / CONFIG[command]).parent, CONFIGS / "shared"]
+        folders += [CONFIGS / "data"] if command == "preprocess" else []
         assert shown == {group for group in listed if any(len([*f.glob(f"{group}/*.yaml")]) > 1 for f in folders)}
 
 

@@ -61,7 +61,7 @@ def test_a_recording_is_labelled_by_the_parts_that_touch(body):
         object=replace(made.object, transl=centres.astype(np.float32),
                        global_orient=turns.as_rotvec().astype(np.float32)),
     )  # fmt: skip
-    contact = annotate(recorded, body, body.v_template, Mesh(ball.vertices, ball.faces))
+    contact = annotate(recorded, body, body.v_template, Mesh(ball.vertices, ball.faces)).labels
     assert contact.object.shape == (5, len(ball.vertices)) and contact.body.shape == (5, 778)
     for k in range(5):
         part = FIRST_FINGER + 1 + 3 * k + 2

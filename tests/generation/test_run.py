@@ -189,10 +189,18 @@ def test_the_command_where_there_is_no_opengl(folder, runs, cache_dir, tmp_path)
     assert "gone.obj does not exist" in done.stderr
     assert done.stdout.count("No pictures are drawn") == 1
     out = folder / "a folder" / "b ü (1)"
-    assert sorted(p.name for p in out.iterdir()) == ["grasps.json", "grasps.npz", "index.html", "meshes"]
+    assert sorted(p.name for p in out.iterdir()) == [
+        "contact",
+        "contact.npz",
+        "grasps.json",
+        "grasps.npz",
+        "index.html",
+        "meshes",
+    ]
     names = ["hand_000.ply", "hand_001.ply", "meshes.npz", "object.ply"]
     assert sorted(p.name for p in (out / "meshes").iterdir()) == names
     assert read_npz(out / "grasps.npz")["side"] == "left"
+    assert len(list((out / "contact").iterdir())) == 4
     assert sorted(p.name for p in folder.iterdir() if p.is_dir()) == ["a folder", "other"]
 
 

@@ -149,7 +149,7 @@ def write_grab(root: Path, models: Path) -> None:
             save_mesh(folder / f"{subject}_{side[0]}hand.ply", Mesh(hand.v_template, hand.faces))
     for name in SEQUENCES:
         made = lifting(name, lifted="look" not in name)
-        contact = annotate(made, body, body.v_template, things["ball"])
+        contact = annotate(made, body, body.v_template, things["ball"]).labels
         write_sequence(root / "grab" / f"{name}.npz", replace(made, contact=contact))
 
 

@@ -35,7 +35,7 @@ class HandFrames(NamedTuple):
 
     subject: name of whose hand it is, a key of `FrameSource.subjects`.
     object: name of what it is on, a key of `FrameSource.objects`.
-    intent: what the hand is about, as in "use", "pass" or "lift".
+    intent: the action, as in "drink", "pass" or "lift": what GRAB calls motion_intent.
     frame: (N,) int64 frame numbers in the sequence.
     hand: parameters of the N hands in the world.
     object_rotation: (N, 3, 3) orthogonal, from the object's frame to the world's, for column vectors.

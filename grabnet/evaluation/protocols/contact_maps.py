@@ -9,8 +9,10 @@ from typing import Self
 
 import numpy as np
 import trimesh
+from hydra.utils import instantiate
 
-from grabnet.contact.annotator import ContactAnnotator
+from grabnet.contact.hands import HandAnnotator
+from grabnet.contact.rules import ContactRules
 from grabnet.evaluation.colours import blended
 from grabnet.evaluation.hands import HandLabels, Hands
 from grabnet.evaluation.inputs import EvaluationInputs
@@ -31,35 +33,38 @@ class ContactMaps(PerGrasp):
     Args:
         labels: of the hand model; hands of other vertices count as one part.
         distance: ε, metres (ref. 4: 4.5 mm).
+        rules: what ε is measured to, and whose part it is.
     """
 
     name = "maps"
     highlight = "object"
     legend = "Red: contact, annotated as in the data set (paper S.7)."
 
-    def __init__(self, labels: HandLabels, distance: float):
+    def __init__(self, labels: HandLabels, distance: float, rules: ContactRules = ContactRules()):  # noqa: B008, frozen
         self.labels = labels
         self.distance = distance
-        self.settings = f"{distance}"
+        self.rules = rules
+        self.settings = f"{distance} {rules}"
 
     @classmethod
     def of(cls, inputs: EvaluationInputs) -> Self:
-        return cls(inputs.labels, inputs.config.contact_distance)
+        return cls(inputs.labels, inputs.config.contact_distance, instantiate(inputs.config.contact))
 
     def __call__(self, scene: GraspScene) -> dict[str, np.ndarray]:
-        parts = self.labels.parts_of(scene.hands)
-        # The annotator's bodies are closed; what closes the wrist belongs to it.
-        vertices, faces = scene.hands.closed
-        closed_parts = np.append(parts, np.full(vertices.shape[1] - len(parts), parts.min(), np.uint8))
-        annotator = scene.target.kept(
-            ("annotator", faces.tobytes(), parts.tobytes(), self.distance),
-            lambda: ContactAnnotator(scene.target.mesh, vertices[0], faces, closed_parts, self.distance),
+        hands, parts = scene.hands, self.labels.parts_of(scene.hands)
+        annotate = scene.target.kept(
+            ("annotator", hands.faces.tobytes(), parts.tobytes(), self.settings),
+            lambda: HandAnnotator(
+                scene.target.mesh,
+                hands.vertices[0],
+                hands.faces,
+                parts,
+                self.distance,
+                self.rules,
+                self.labels.bones if self.labels.fit(hands) else None,
+            ),
         )
-        contacts = [annotator(hand) for hand in vertices]
-        return {
-            "object": np.stack([contact.object for contact in contacts]),
-            "hand": np.stack([contact.body[: len(parts)] for contact in contacts]),
-        }
+        return annotate(hands.vertices)._asdict()
 
     def write(self, folder: Path, methods: Sequence[Method], inputs: EvaluationInputs) -> None:
         """Write `contact/<method>/<object>…`, as `write_maps` does."""

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from grabnet.contact.annotator import ContactAnnotator, vertex_parts
+from grabnet.contact.contacts import CONTACT_DISTANCE
+from grabnet.contact.rules import ContactRules
+from grabnet.contact.sequences import body_annotator
 from grabnet.data.sequences import ContactTrack, Sequence
 from grabnet.open.sequences.actor import Actor
 from grabnet.open.sequences.props import StageProp
@@ -23,9 +25,7 @@ def with_contact(sequence: Sequence, actor: Actor, prop: StageProp) -> Sequence:
 
     A hand that holds an object keeps its place on it; labels are sought anew when anything near the object moves.
     """
-    annotator = ContactAnnotator(
-        prop.mesh, actor.subject.v_template, actor.body.faces.numpy(), vertex_parts(actor.body.weights.numpy())
-    )
+    annotator = body_annotator(actor.body, actor.subject.v_template, prop.mesh, CONTACT_DISTANCE, ContactRules())
     low, high = prop.mesh.bounds[0] - _NEAR, prop.mesh.bounds[1] + _NEAR
     n = len(sequence)
     found = ContactTrack(

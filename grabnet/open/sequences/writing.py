@@ -20,13 +20,25 @@ from grabnet.open.sequences.props import UP
 from grabnet.open.sequences.setting import TABLE_SIZE, Table
 
 TABLE_MESH = "tools/table_meshes/table.ply"  # "table" among the objects is a toy
-N_COMPS = 24
+# Principal components of a hand pose. GRAB has 24; the open poses span 25 dimensions, and the last of them moves
+# fingers by up to 5 mm.
+N_COMPS = 25
 
 
 def to_sequence(
-    stage: Performance, table: Table, name: str, object_name: str, intent: str, heading: float, spot: np.ndarray
+    stage: Performance, table: Table, name: str, object_name: str, action: str, heading: float, spot: np.ndarray
 ) -> Sequence:
-    """The recording, without contact: the person stands at `spot` (x, y), turned by `heading` radians, z up."""
+    """Return the recording, without contact.
+
+    Args:
+        stage: what happens.
+        table: where.
+        name: of the recording.
+        object_name: the object's.
+        action: what is done, as in "drink" or "lift": GRAB's `motion_intent`.
+        heading: radians by which the person is turned about the vertical.
+        spot: (2,) metres, where the person stands.
+    """
     actor, subject = stage.actor, stage.actor.subject
     world = Rotation.from_rotvec([0, 0, heading]).as_matrix() @ UP.T
     offset = np.array([*spot, 0.0]) - world @ [0, actor.floor, 0]
@@ -57,7 +69,7 @@ def to_sequence(
         origin = actor.hand_wrist * (1 if side == "right" else (-1, 1, 1))
         tracks[side] = HandTrack(
             _single(Rotation.from_matrix(wrist.rotation).as_rotvec()),
-            _components(fingers, side),
+            _components(fingers, side, about_mean=False),
             _single(wrist.position - origin),
             _single(fingers),
             subject.file(f"_{side[0]}hand"),
@@ -67,8 +79,7 @@ def to_sequence(
     body = BodyTrack(
         _single(room.points((origin + trunk.transl)[None])[0] - origin),
         *(_single(part) for part in parts[:5]),
-        tracks["left"].hand_pose,
-        tracks["right"].hand_pose,
+        *(_components(hands[side][1], side, about_mean=True) for side in ("left", "right")),
         _single(fullpose),
         np.zeros((n, 10), np.float32),
         subject.file(),
@@ -82,7 +93,7 @@ def to_sequence(
         gender=subject.gender,
         sbj_id=subject.name,
         obj_name=object_name,
-        motion_intent=intent,
+        motion_intent=action,
         framerate=float(FRAMERATE),
         n_comps=N_COMPS,
         body=body,
@@ -109,9 +120,17 @@ def _rigid(pose: Pose, mesh: str) -> RigidTrack:
     return RigidTrack(_single(pose.position), _single(-Rotation.from_matrix(pose.rotation).as_rotvec()), mesh)
 
 
-def _components(fingers: np.ndarray, side: str) -> np.ndarray:
-    """(T, 45) → (T, 24) principal components of the open hand, which approximate the pose."""
-    return _single(fingers @ HandModel.open(side).hands_components[:N_COMPS].double().numpy().T)
+def _components(fingers: np.ndarray, side: str, about_mean: bool) -> np.ndarray:
+    """(T, 45) axis-angle → (T, N_COMPS) principal components of the open hand (ref. 1).
+
+    Args:
+        fingers: poses.
+        side: left or right.
+        about_mean: count from the model's mean hand, as the whole body's are; from the flat hand otherwise.
+    """
+    hand = HandModel.open(side)
+    offset = fingers - hand.hands_mean.double().numpy() if about_mean else fingers
+    return _single(offset @ hand.hands_components[:N_COMPS].double().numpy().T)
 
 
 def _single(array: np.ndarray) -> np.ndarray:

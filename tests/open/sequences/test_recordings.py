@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+
 import numpy as np
 import pytest
+import smplx
 import torch
 
-from grabnet.body.hand import HandModel
+from grabnet.body.hand import OPEN_HANDS, HandModel
 from grabnet.body.skeleton import LEFT_HAND_PARTS, RIGHT_HAND_PARTS
 from grabnet.body.whole import OPEN_BODY, BodyModel
 from grabnet.contact.annotator import vertex_parts
+from grabnet.data.intents import intent_of
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import load_below, read_sequence
 from grabnet.errors import UserError
@@ -131,6 +136,33 @@ def test_hands_alone_are_where_the_bodys_are(root, sequence, people):
         assert np.median(apart) < 1e-4
 
 
+def test_smplx_reads_bodies_and_hands_as_users_of_grab_read_them(root, entry, sequence, people):
+    """Bodies by the package's defaults, hands on a flat mean, components as many as the file says."""
+    with np.load(root / "grab" / f"{entry.name}.npz", allow_pickle=True) as file:
+        stored = {name: file[name].item() for name in ("body", "rhand", "lhand", "n_comps", "n_frames")}
+    options = {"ext": "npz", "num_pca_comps": stored["n_comps"], "batch_size": stored["n_frames"]}
+
+    def vertices(model_file, kind, track, **more):
+        template = load_below(root, track["vtemp"]).vertices
+        with contextlib.redirect_stdout(io.StringIO()), torch.no_grad():
+            model = smplx.create(str(model_file), kind, v_template=template, **options, **more)
+            return model(**{k: torch.tensor(v) for k, v in track["params"].items() if k != "fullpose"}).vertices.numpy()
+
+    body = vertices(OPEN_BODY / "SMPLX_NEUTRAL.npz", "smplx", stored["body"])
+    np.testing.assert_allclose(body, people, atol=1e-5)
+    for side, name, track in (("right", "rhand", sequence.rhand), ("left", "lhand", sequence.lhand)):
+        hand, rest = HandModel.open(side), torch.tensor(load_below(root, track.vtemp).vertices)
+        expected = hand(track.parameters(), rest).vertices.numpy()
+        read = vertices(
+            OPEN_HANDS / f"MANO_{side.upper()}.npz", "mano", stored[name], is_rhand=side == "right", flat_hand_mean=True
+        )
+        np.testing.assert_allclose(read, expected, atol=1e-5)
+
+
+def test_the_intent_is_the_action_as_grab_has_it(sequence, entry):
+    assert sequence.motion_intent == entry.name.split("_")[1]
+
+
 def test_stored_contact_is_by_the_right_parts(sequence, entry):
     parts = vertex_parts(BodyModel.open().weights.numpy())
     labels = sequence.contact.body
@@ -161,6 +193,8 @@ def test_schedule_of_fewer_is_the_start_of_more():
     assert len({entry.name for entry in many}) == 150
     assert {entry.object for entry in many[: len(grasps.objects)]} == set(grasps.objects)
     assert {entry.intent for entry in many} == {"use", "pass", "lift", "offhand"}
+    assert all(intent_of(entry.action) == entry.intent for entry in many)
+    assert {entry.action for entry in many if entry.object == "mug" and entry.intent == "use"} == {"drink"}
     assert {entry.subject for entry in many} == set(grasps.subjects)
     assert {e.subject for e in schedule(grasps, 20, 0, ("s2", "s9"))} == {"s2", "s9"}
 
