@@ -102,8 +102,8 @@ def check_hand(path: str | Path, hand: HandModel) -> None:
     trained_with = read_conventions(path).hand or read_provenance(path).get("hand_sha256")
     if trained_with not in (None, hand.fingerprint, sha256(hand.v_template.cpu().numpy())):
         raise UserError(
-            f"{path} was trained with another hand model: give that one, with hand_model=<its file> when sampling, else "
-            "with hand_model=mano hand_model.path=<its file>."
+            f"{path} was trained with another hand model: give that one, with hand_model=<its file> when sampling, "
+            "else with hand_model=mano hand_model.path=<its file>."
         )
 
 
