@@ -9,6 +9,7 @@ from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.placed import PlacedObjects
 from grabnet.geometry.rotations import random_rotations
 from grabnet.geometry.sdf_grid import SDFGrid
+from grabnet.training.acceleration import denormals_flushed
 from tests.geometry.shapes import box, sphere
 
 RADIUS, SIDES = 0.04, (0.05, 0.06, 0.08)
@@ -96,3 +97,13 @@ def test_points_that_are_not_finite_have_no_distance_to_samples(placed):
     points[1, 0, 2], points[2, 1, 0] = torch.nan, torch.inf
     distances = replace(placed, samples=torch.ones(2, 5, 3)).distances(points)
     assert (distances.isfinite() == torch.tensor([[1, 1], [0, 1], [1, 0]], dtype=torch.bool)).all()
+
+
+def test_flushed_denormals_do_not_matter(placed):
+    """As in a training: the number after 0 is then 0."""
+    disc = 0.03 * torch.randn(2, 400, 3, generator=torch.Generator().manual_seed(7))
+    disc[..., 2] = torch.where(torch.arange(400) % 3 > 0, 0.0, disc[..., 2].abs())
+    points = 0.05 * torch.randn(3, 30, 3, generator=torch.Generator().manual_seed(8))
+    expected = replace(placed, samples=disc).distances(points)
+    with denormals_flushed():
+        torch.testing.assert_close(replace(placed, samples=disc).distances(points), expected)

@@ -15,11 +15,14 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from scipy.spatial import cKDTree
 
+from grabnet.body.hand import OPEN_HANDS, HandModel
 from grabnet.cli.entry import compose
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.splits import Split
 from grabnet.errors import UserError
+from grabnet.evaluation.inputs import EvaluationInputs
+from grabnet.evaluation.protocols.reconstruction import Reconstruction
 from grabnet.generation.grabber import Grabber
 from grabnet.geometry.conventions import Conventions
 from grabnet.models.trained import find_model, load_model
@@ -29,6 +32,7 @@ from tests.tiny import tiny_overrides
 
 OTHERWISE = ("data.centre=box", "data.distance_to=samples", "data.basis_to=samples", "data.object_points=300",
              "data.points_in_use=400", "data.rotate=false")  # fmt: skip
+EVALUATION = ("data=frames", "data.split.val=[can]", "data.split.test=[ring]", "data.near_points=32")
 QUICK = ("trainer.max_epochs=1", "test=false")
 
 
@@ -163,27 +167,18 @@ def test_networks_that_know_objects_otherwise_make_no_model(runs, dataset, cache
     assert load_model(find_model([runs / "coarsenet", tmp_path]), hand, refine=False).conventions.centre == "box"
 
 
-def test_a_network_of_another_hand_is_refused(runs, random_mano, tmp_path):
-    from grabnet.body.hand import HandModel
-
-    np.savez(tmp_path / "MANO_RIGHT.npz", **random_mano)
+def test_a_network_of_another_hand_is_refused(runs, tmp_path):
+    """Also of one with the same template."""
+    with np.load(OPEN_HANDS / "MANO_RIGHT.npz") as model:
+        values = dict(model)
+    np.savez(tmp_path / "MANO_RIGHT.npz", **values | {"weights": np.roll(values["weights"], 1, axis=1)})
     with pytest.raises(UserError, match="was trained with another hand model"):
         load_model(find_model(runs), HandModel(tmp_path / "MANO_RIGHT.npz"))
 
 
 def test_an_evaluation_shows_them_objects_as_their_training_did(runs, dataset, cache_dir, hand):
     """Reconstruction with data of the default conventions gives what the training's own data give."""
-    from grabnet.evaluation.inputs import EvaluationInputs
-    from grabnet.evaluation.protocols.reconstruction import Reconstruction
-
-    values = [
-        "data=frames",
-        f"data.root={dataset}",
-        "data.split.val=[can]",
-        "data.split.test=[ring]",
-        "data.near_points=32",
-    ]
-    values += [f"data.cache_dir={cache_dir}", f"models=[{runs}]", "data.batch_size=32"]
+    values = [*EVALUATION, f"data.root={dataset}", f"data.cache_dir={cache_dir}", f"models=[{runs}]"]
     found = []
     for name, more in (("a", []), ("b", OTHERWISE)):
         config = compose("evaluate", [*values, *more, f"cache_dir={cache_dir / name}"])
@@ -195,18 +190,9 @@ def test_an_evaluation_shows_them_objects_as_their_training_did(runs, dataset, c
 
 
 def test_a_source_that_knows_objects_otherwise_is_refused(runs, dataset, cache_dir, tmp_path):
-    from grabnet.evaluation.inputs import EvaluationInputs
-    from grabnet.evaluation.protocols.reconstruction import Reconstruction
-
     train(compose("train", tiny_overrides(dataset, tmp_path, cache_dir, "coarsenet", *QUICK)))
-    values = [
-        "data=frames",
-        f"data.root={dataset}",
-        "data.split.val=[can]",
-        "data.split.test=[ring]",
-        f"models=[{runs}]",
-    ]
-    values += ["source@source=coarsenet", f"source.coarsenet={tmp_path}", f"data.cache_dir={cache_dir}"]
+    values = [*EVALUATION, f"data.root={dataset}", f"data.cache_dir={cache_dir}", f"models=[{runs}]"]
+    values += ["source=coarsenet", f"source.coarsenet={tmp_path}"]
     inputs = EvaluationInputs(instantiate(compose("evaluate", [*values, f"cache_dir={tmp_path}"]), _convert_="object"))
     with pytest.raises(UserError, match=r"was trained with data.centre=mean_vertex .*centre=box"):
         Reconstruction.of(inputs)()
