@@ -18,7 +18,8 @@ REMEDY = "do otherwise"
 @pytest.fixture(scope="module")
 def mesh() -> Mesh:
     """A box with most of its vertices at one end, off its own origin."""
-    solid = trimesh.creation.box((0.05, 0.06, 0.1)).subdivide().subdivide([0, 1, 2, 3])
+    solid = trimesh.creation.box((0.05, 0.06, 0.1)).subdivide().subdivide()
+    solid.vertices[:, 2] = 0.1 * (solid.vertices[:, 2] / 0.1 + 0.5) ** 2 - 0.05
     return Mesh(solid.vertices + np.array([0.3, -0.2, 0.1]), solid.faces)
 
 
