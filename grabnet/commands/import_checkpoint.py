@@ -3,7 +3,8 @@
     grabnet import coarsenet coarsenet.pt --bps bps.npz
     grabnet import refinenet refinenet.pt --hand-model MANO_RIGHT.npz
 
-What comes out can be sampled like a network trained here.
+What comes out can be sampled like a network trained here, and is shown objects as the published networks were: about
+the middle of the bounding box, by unsigned distances to points.
 """
 
 from __future__ import annotations
@@ -44,12 +45,9 @@ def coarsenet(arguments: argparse.Namespace) -> None:
 
 def refinenet(arguments: argparse.Namespace) -> None:
     from grabnet.body.hand import HandModel
-    from grabnet.io.files import sha256
     from grabnet.models.refinenet import RefineNet
 
-    hand = HandModel(arguments.hand_model)
-    network = RefineNet.from_published(arguments.checkpoint, hand)
-    _save(arguments, network, hand_sha256=sha256(hand.v_template.numpy()))
+    _save(arguments, RefineNet.from_published(arguments.checkpoint, HandModel(arguments.hand_model)))
 
 
 def _save(arguments: argparse.Namespace, network: Any, **facts: str) -> None:

@@ -18,7 +18,7 @@ from grabnet.precision import full_precision
 
 @dataclass(frozen=True)
 class GraspBatch:
-    """B hands on objects in the object-centred world frame, metres.
+    """B hands on objects in the object-centred world frame (`ObjectSet.place`), metres.
 
     Attributes:
         objects: as they stand before the hand.
@@ -64,9 +64,10 @@ class BatchAssembler(nn.Module):
     @full_precision
     def measured(self, frames: Frames) -> tuple[Tensor, Tensor]:
         """Posed vertices (N, V, 3) of the frames and their distances (N, V) to the object, metres."""
-        vertices = self.hand(frames.hand(), self.v_template[frames.subject]).vertices
-        objects = self.object_set.place(frames.object, axis_angle_to_matrix(frames.object_orient))
-        return vertices, objects.distances(vertices)
+        rotations = axis_angle_to_matrix(frames.object_orient)
+        hand = self._about_centre(frames.hand(), frames, rotations)
+        vertices = self.hand(hand, self.v_template[frames.subject]).vertices
+        return vertices, self.object_set.place(frames.object, rotations).distances(vertices)
 
     @torch.no_grad()
     @full_precision
@@ -78,8 +79,8 @@ class BatchAssembler(nn.Module):
             targets: theirs.
             turn: rotate each frame about the vertical by a random angle (training's augmentation).
         """
-        hand, noisy, rest = frames.hand(), frames.noisy_hand(), self.v_template[frames.subject]
-        rotations = axis_angle_to_matrix(frames.object_orient)
+        rotations, rest = axis_angle_to_matrix(frames.object_orient), self.v_template[frames.subject]
+        hand, noisy = (self._about_centre(hand, frames, rotations) for hand in (frames.hand(), frames.noisy_hand()))
         if turn:
             about = about_z(torch.rand(len(frames), device=rotations.device) * (2 * torch.pi))
             rotations = about @ rotations
@@ -98,3 +99,9 @@ class BatchAssembler(nn.Module):
             point_share=points.shape[1] / samples.shape[1],
             noisy=noisy,
         )
+
+    def _about_centre(self, hand: HandParameters | None, frames: Frames, rotations: Tensor) -> HandParameters | None:
+        """Hands of frames, which have the origin at the mean vertex, about the objects' centres."""
+        if hand is None:
+            return None
+        return hand._replace(transl=hand.transl + self.object_set.mean_vertices(frames.object, rotations))

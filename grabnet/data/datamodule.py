@@ -23,6 +23,7 @@ from grabnet.data.sources.base import FrameSource, write_store
 from grabnet.data.splits import SPLITS, Split
 from grabnet.data.targets import MAX_POINTS, Targets
 from grabnet.errors import UserError
+from grabnet.geometry.conventions import Conventions
 
 
 class GraspDataModule(L.LightningDataModule):
@@ -35,9 +36,12 @@ class GraspDataModule(L.LightningDataModule):
         objects_dir: folder with one mesh per object, `<name>.ply` (or .obj, .stl, …), in place of the data set's own.
         batch_size: frames per step, of all processes together.
         min_steps: of an epoch: few frames are gone through as often as that takes.
+        centre: point of an object that its world has at the origin, as in `Conventions`.
         object_points: surface samples per object.
         near_points: of these, how many nearest to the hand enter the object→hand loss (published: all).
         distance_to: hand→object distances are signed, to the "surface"; or unsigned, to the nearest of the "samples".
+        basis_to: basis point sets hold distances to the "surface", or to the nearest of "samples", as in `Conventions`.
+        points_in_use: vertices of an object that take the place of samples in use, and for `basis_to`.
         contact_distance: metres within which a hand vertex counts as touching (ref. 4).
         rotate: rotate training frames about the vertical at random.
         max_frames: use only so many training frames, evenly spaced; all when omitted.
@@ -45,8 +49,11 @@ class GraspDataModule(L.LightningDataModule):
         seed: of sampling and shuffling.
         source: what the store and the objects' meshes are written from where they are missing.
 
+    Attributes:
+        conventions: how objects are shown to the network that is trained.
+
     Raises:
-        UserError: a number out of range.
+        UserError: a number out of range, or an unknown word.
     """
 
     def __init__(
@@ -57,9 +64,12 @@ class GraspDataModule(L.LightningDataModule):
         objects_dir: str | None = None,
         batch_size: int = 256,
         min_steps: int = 1,
+        centre: str = "mean_vertex",
         object_points: int = 2048,
         near_points: int = 128,
         distance_to: str = "surface",
+        basis_to: str = "surface",
+        points_in_use: int = 10_000,
         contact_distance: float = 0.0045,
         rotate: bool = True,
         max_frames: int | None = None,
@@ -75,9 +85,11 @@ class GraspDataModule(L.LightningDataModule):
         self.objects_dir = Path(objects_dir) if objects_dir else self.root / OBJECT_MESHES
         self.batch_size = batch_size
         self.min_steps = min_steps
+        self.conventions = Conventions(
+            centre, distance_to, basis_to, object_points, points_in_use, rotate, hand.fingerprint
+        )
         self.object_points = object_points
         self.near_points = near_points
-        self.distance_to = distance_to
         self.contact_distance = contact_distance
         self.rotate = rotate
         self.max_frames = max_frames
@@ -85,7 +97,7 @@ class GraspDataModule(L.LightningDataModule):
         self.seed = seed
         self.source = source
         # Of one frame there are no batch statistics.
-        at_least(self, "data.", batch_size=2, min_steps=1, object_points=1, near_points=1, max_frames=2)
+        at_least(self, "data.", batch_size=2, min_steps=1, near_points=1, max_frames=2)
         if object_points > MAX_POINTS:
             raise UserError(f"data.object_points is {object_points}; it must be at most {MAX_POINTS}.")
         if near_points > object_points:
@@ -126,10 +138,9 @@ class GraspDataModule(L.LightningDataModule):
         objects = ObjectSet.load(
             self.objects_dir,
             self.store.objects,
-            n_points=self.object_points,
+            conventions=self.conventions,
             seed=self.seed,
             cache_dir=self.cache_dir,
-            distance_to=self.distance_to,
         )
         self.assembler = BatchAssembler(self.hand, self.store.v_template, objects)
         for split in SPLITS:

@@ -1,4 +1,4 @@
-"""The objects of a data set: meshes, their centroids, surface samples and signed distances, indexed by number."""
+"""The objects of a data set: meshes, their centres, surface samples and signed distances, indexed by number."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from rich.progress import track
 from torch import Tensor, nn
 
 from grabnet.errors import UserError
-from grabnet.geometry.atlas import SDFAtlas, SDFGrid
+from grabnet.geometry.atlas import SDFAtlas
+from grabnet.geometry.conventions import Conventions
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.geometry.placed import PlacedObjects
+from grabnet.geometry.sdf_grid import AtlasConfig, SDFGrid
 from grabnet.io.files import existing, sha256
 
 OBJECT_MESHES = Path("tools/object_meshes/contact_meshes")  # GRAB's own layout, below its root
@@ -25,19 +27,15 @@ class ObjectSet(nn.Module):
     Args:
         names: of the objects.
         meshes: one each, metres, in the object's own frame.
-        n_points: surface points sampled per object (ref. 2: 2048).
+        conventions: how they are shown; `object_points` surface points are sampled of each.
         seed: of the sampling.
         cache_dir: where signed-distance grids are kept; the user's cache folder when omitted.
-        distance_to: what the `distances` of placed objects are: to the "surface", signed, by the atlas; or unsigned to
-            the nearest of the "samples", as published (ref. 2), by brute force.
-
-    Raises:
-        UserError: another `distance_to`.
 
     Attributes:
         names, meshes: as given.
-        centroids (O, 3): mean of the mesh vertices (ref. 3), object frame.
-        points (O, n_points, 3): surface samples, object frame, relative to the centroid.
+        centres (O, 3): point of each object at the origin of its world, object frame.
+        offsets (O, 3): from the centre to the mean vertex, which frames stores have at the origin (ref. 3).
+        points (O, object_points, 3): surface samples, object frame, relative to the centre.
         atlas: signed distances.
     """
 
@@ -45,23 +43,25 @@ class ObjectSet(nn.Module):
         self,
         names: Sequence[str],
         meshes: Sequence[Mesh],
-        n_points: int = 2048,
+        conventions: Conventions | None = None,
         seed: int = 0,
         cache_dir: str | Path | None = None,
-        distance_to: str = "surface",
     ):
         super().__init__()
-        if distance_to not in ("surface", "samples"):
-            raise UserError(f"data.distance_to is '{distance_to}'; it can be surface or samples.")
-        self.distance_to = distance_to
         self.names, self.meshes = list(names), list(meshes)
         self.sha256 = sha256(*(mesh.sha256 for mesh in meshes))
-        centroids = torch.stack([torch.as_tensor(mesh.centroid, dtype=torch.float32) for mesh in meshes])
-        points = [torch.as_tensor(mesh.sample_surface(n_points, seed)[0], dtype=torch.float32) for mesh in meshes]
-        self.register_buffer("centroids", centroids, False)
-        self.register_buffer("points", torch.stack(points) - centroids.unsqueeze(1), False)
+        known = conventions or Conventions()
+        centres = _stacked([torch.as_tensor(known.centre_of(mesh)) for mesh in meshes])
+        points = [torch.as_tensor(mesh.sample_surface(known.object_points, seed)[0]) for mesh in meshes]
+        vertices = [known.vertices_in_use(mesh) for mesh in meshes] if known.basis_to == "samples" else None
+        self.register_buffer("centres", centres, False)
+        self.register_buffer("offsets", _stacked([torch.as_tensor(mesh.centroid) for mesh in meshes]) - centres, False)
+        self.register_buffer("points", _stacked(points) - centres.unsqueeze(1), False)
+        self.register_buffer("basis_samples", None if vertices is None else _stacked(vertices), False)
+        self.distances_to_points = known.distance_to == "samples"
+        config = AtlasConfig(centre=known.centre)
         grids = [
-            SDFGrid.load_or_build(mesh, cache_dir)
+            SDFGrid.load_or_build(mesh, cache_dir, config)
             for mesh in track(meshes, "Signed distances of the objects", transient=True)
         ]
         self.atlas = SDFAtlas(grids)
@@ -79,9 +79,13 @@ class ObjectSet(nn.Module):
         return cls(names, [load_mesh(files[name]) for name in names], **options)
 
     def place(self, index: Tensor, rotations: Tensor) -> PlacedObjects:
-        """Objects `index` (B,) in a world about their centroids, in which they are turned by `rotations` (B, 3, 3)."""
-        samples = self.points if self.distance_to == "samples" else None
-        return PlacedObjects(self.atlas, index, rotations, self.centroids[index], samples)
+        """Objects `index` (B,) in a world about their centres, in which they are turned by `rotations` (B, 3, 3)."""
+        samples = self.points if self.distances_to_points else None
+        return PlacedObjects(self.atlas, index, rotations, self.centres[index], samples, self.basis_samples)
+
+    def mean_vertices(self, index: Tensor, rotations: Tensor) -> Tensor:
+        """(B, 3) mean vertices of the objects placed by `place`."""
+        return (rotations @ self.offsets[index].unsqueeze(-1)).squeeze(-1)
 
 
 def object_files(folder: str | Path) -> dict[str, Path]:
@@ -92,3 +96,7 @@ def object_files(folder: str | Path) -> dict[str, Path]:
     """
     folder = existing(folder, "Object folder (objects.dir)")
     return {p.stem: p for p in sorted(folder.iterdir()) if p.suffix.lower() in MESH_SUFFIXES}
+
+
+def _stacked(rows: Sequence[Tensor]) -> Tensor:
+    return torch.stack([*rows]).float()

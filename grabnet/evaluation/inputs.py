@@ -21,6 +21,7 @@ from grabnet.generation.config import usable_device
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.io.cache import default_cache
 from grabnet.io.files import sha256
+from grabnet.models.generator import SavedNetwork
 
 
 class EvaluationInputs:
@@ -65,6 +66,16 @@ class EvaluationInputs:
         self.models: list[EvaluatedModel] = load_models(
             config.models, self.hand, config.runs, usable_device(config.device)
         )
+
+    def data_for(self, network: SavedNetwork) -> GraspDataModule:
+        """The data, set up, with objects shown as a network was trained to see them."""
+        shown = network.conventions.shown(network.sees)
+        if shown == self.data.conventions.shown(network.sees):
+            data = self.data
+        else:
+            data = instantiate(self.config.data, hand=self.hand, **shown)
+        data.setup()
+        return data
 
     def _objects(self) -> list[str]:
         objects = self.part.shown_objects

@@ -21,7 +21,7 @@ from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.object_mesh import load_object
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.rotations import about_z, quaternion_to_matrix
-from grabnet.geometry.sdf_grid import SDFGrid
+from grabnet.geometry.sdf_grid import AtlasConfig, SDFGrid
 from grabnet.models.generator import GraspGenerator
 from grabnet.models.trained import find_model, load_model
 
@@ -34,7 +34,7 @@ _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
 class Grabber(nn.Module):
-    """Grasps of meshes by a generator of right hands.
+    """Grasps of meshes by a generator of right hands, which sees the objects as in its training (its `conventions`).
 
     Args:
         generator: trained.
@@ -128,8 +128,10 @@ class Grabber(nn.Module):
         rest = self.hand.shaped(betas)
         if side not in SIDES:
             raise UserError(f"side is '{side}'; it can be {', '.join(SIDES)}.")
-        placement = Placement.of(placed, _turns(orientation, min(n, self.n_turns), seed).to(device), side)
-        atlas = SDFAtlas([SDFGrid.load_or_build(placed.solid, cache_dir)]).to(device)
+        known, turns = self.generator.conventions, _turns(orientation, min(n, self.n_turns), seed).to(device)
+        placement = Placement.of(placed, turns, side, known)
+        grid = SDFGrid.load_or_build(placed.solid, cache_dir, AtlasConfig(centre=known.centre))
+        atlas = SDFAtlas([grid]).to(device)
         drawn = self._drawn(atlas, placement, n, seed, rest)
         _measure(MeshQuery(placed.solid, device), drawn.in_object_frame, drawn.distances)
         contacts = Contacts(

@@ -36,7 +36,7 @@ class Grasps:
             as hand models are: posed vertices times `units_per_metre` are `vertices`.
         betas: (N, n) hand shapes.
         object_transform: (N, 4, 4) from the mesh's frame to the world that each grasp was made in: metres, z up, turned
-            as the networks saw the object, origin at its centroid.
+            as the networks saw the object, origin at its centre (`Conventions`).
         vertices: (N, V, 3) hands in the mesh's frame and units. faces: (F, 3), outward.
         contacts: of the hands with the mesh; distances are exact within 1 cm of it.
     """

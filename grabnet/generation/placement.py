@@ -18,6 +18,7 @@ from torch import Tensor
 
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.geometry.atlas import SDFAtlas
+from grabnet.geometry.conventions import Conventions
 from grabnet.geometry.object_mesh import ObjectMesh
 from grabnet.geometry.placed import PlacedObjects
 
@@ -31,24 +32,32 @@ class Placement:
         centre: (3,) point of the object that lies at the origin of the world, object frame, metres.
         turns: (K, 3, 3) rotations, object to world.
         mirror: (3, 3) world to right-hand world: the identity, or a reflection in x for left hands.
+        samples: (1, N, 3) points of the object that distances of the hand are measured to, as in `PlacedObjects`.
+        basis_samples: (1, N, 3) likewise, for basis points.
     """
 
     to_object: np.ndarray
     centre: Tensor
     turns: Tensor
     mirror: Tensor
+    samples: Tensor | None = None
+    basis_samples: Tensor | None = None
 
     @classmethod
-    def of(cls, placed: ObjectMesh, turns: Tensor, side: str) -> Placement:
-        """An object about its centroid.
+    def of(cls, placed: ObjectMesh, turns: Tensor, side: str, known: Conventions) -> Placement:
+        """An object about its centre.
 
         Args:
             placed: the object.
             turns: (K, 3, 3) rotations, object to world.
             side: "right" or "left", of the hands.
+            known: how it is to be shown to the networks.
         """
         mirror = torch.diag(turns.new_tensor([1.0 if side == "right" else -1.0, 1.0, 1.0]))
-        return cls(placed.to_object, torch.as_tensor(placed.solid.centroid, device=turns.device), turns, mirror)
+        centre = torch.as_tensor(known.centre_of(placed.solid), device=turns.device)
+        needs_points = (known.distance_to == "samples", known.basis_to == "samples")
+        points = known.vertices_in_use(placed.solid).to(turns).unsqueeze(0) if any(needs_points) else None
+        return cls(placed.to_object, centre, turns, mirror, *(points if needed else None for needed in needs_points))
 
     @property
     def scale(self) -> float:
@@ -73,7 +82,8 @@ class Placement:
         """The object in the right-hand world, its K ways, for an atlas that holds it alone."""
         n = len(self.turns)
         index = torch.zeros(n, dtype=torch.int64, device=self.turns.device)
-        return PlacedObjects(atlas, index, self.turns @ self.mirror, self.centre.expand(n, 3))
+        rotations, centres = self.turns @ self.mirror, self.centre.expand(n, 3)
+        return PlacedObjects(atlas, index, rotations, centres, self.samples, self.basis_samples)
 
     def transforms(self, ways: Tensor) -> Tensor:
         """(N, 4, 4) mesh to world, of ways (N,)."""

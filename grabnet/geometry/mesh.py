@@ -80,6 +80,18 @@ class Mesh:
         matrix = np.asarray(matrix, dtype=np.float64)
         return Mesh(self.vertices @ matrix[:3, :3].T + matrix[:3, 3], self.faces)
 
+    def subdivided(self) -> Mesh:
+        """Each face cut into four at the middles of its sides.
+
+        The new vertices follow the old ones, in the order of the pairs of vertices that they lie between.
+        """
+        sides = np.sort(self.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        pairs, number = np.unique(sides, axis=0, return_inverse=True)
+        ab, bc, ca = (len(self.vertices) + number.reshape(-1, 3)).T
+        a, b, c = self.faces.T
+        faces = np.stack([a, ab, ca, b, bc, ab, c, ca, bc, ab, bc, ca], 1).reshape(-1, 3)
+        return Mesh(np.concatenate([self.vertices, self.vertices[pairs].mean(1)]), faces)
+
     def sample_surface(self, n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """(n, 3) points spread evenly by area and the (n, 3) unit normals of their faces, float32."""
         rng = np.random.default_rng(seed)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from grabnet.geometry.atlas import SDFAtlas
-from grabnet.geometry.nearest import nearest_point_distance
+from grabnet.geometry.nearest import cloud_distance
 from grabnet.precision import full_precision
 
 
@@ -20,8 +20,9 @@ class PlacedObjects:
         index: (B,) int64, objects in the atlas.
         rotations: (B, 3, 3) orthogonal, object frame to world; a reflection shows the object mirrored.
         centres: (B, 3) point of each object, in its own frame, that lies at the origin of the world.
-        samples: (O, P, 3) surface points of all objects of the atlas, in the object frame, relative to the centre.
+        samples: (O, P, 3) points of all objects of the atlas, along the axes of the object frame, from the centre.
             With them `distances` are unsigned, to the nearest sample; without them signed, to the surface.
+        basis_samples: (O, N, 3) likewise, for `basis_distances`, which without them are to the surface.
     """
 
     atlas: SDFAtlas
@@ -29,6 +30,7 @@ class PlacedObjects:
     rotations: Tensor
     centres: Tensor
     samples: Tensor | None = None
+    basis_samples: Tensor | None = None
 
     def __len__(self) -> int:
         return len(self.index)
@@ -37,15 +39,18 @@ class PlacedObjects:
     def distances(self, points: Tensor) -> Tensor:
         """Distances (B, N) in metres of world points (B, N, 3) to each element's object: see `samples`."""
         if self.samples is not None:
-            return nearest_point_distance(points, self.samples[self.index] @ self.rotations.mT)
+            return cloud_distance(points @ self.rotations, self.samples, self.index)
         return self.signed_distances(points)
 
     def signed_distances(self, points: Tensor) -> Tensor:
         """Signed distances (B, N) in metres of world points (B, N, 3) to the surface, negative inside."""
         return self.atlas(points, self.index, self.rotations, self.centres)
 
+    @full_precision
     def basis_distances(self, basis: Tensor) -> Tensor:
-        """Unsigned distances (B, P) in metres of world points (P, 3) to each element's surface."""
+        """Unsigned distances (B, P) in metres of world points (P, 3) to each element's object: see `basis_samples`."""
+        if self.basis_samples is not None:
+            return cloud_distance(basis @ self.rotations, self.basis_samples, self.index)
         return self.atlas.basis_distances(basis, self.index, self.rotations, self.centres)
 
     def select(self, rows: Tensor | slice) -> PlacedObjects:

@@ -12,6 +12,7 @@ from safetensors import safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from grabnet.geometry.conventions import Conventions
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.sdf_sampling import sample
@@ -31,7 +32,8 @@ class AtlasConfig:
     fine_stride: int = 8  # nodes from one to the next of those sampled first: a power of 2
     coarse_nodes: int = 80**3  # at most this many in the wide box, where distance is long and smooth
     coarse_pad: float = 0.06  # wide box beyond the mesh
-    coarse_radius: float = 0.16  # and at least this far from the centroid: the BPS ball of 15 cm fits in any rotation
+    coarse_radius: float = 0.16  # and at least this far from the centre: the BPS ball of 15 cm fits in any rotation
+    centre: str = "mean_vertex"  # as in `Conventions`
     coarse_stride: int = 4
     exact_zone: float = 0.002  # nodes closer than this to the surface are queried exactly
     doubt: float = 0.0075  # nodes beyond the zone are interpolated unless two predictions differ by this share of them
@@ -66,9 +68,9 @@ class SDFGrid:
         """Sample the signed distance of `mesh`, closed or open; one or two seconds for 40,000 faces."""
         config = config or AtlasConfig()
         query = MeshQuery(mesh, device)
-        low, high = mesh.bounds
-        wide_low = np.minimum(low - config.coarse_pad, mesh.centroid - config.coarse_radius)
-        wide_high = np.maximum(high + config.coarse_pad, mesh.centroid + config.coarse_radius)
+        (low, high), centre = mesh.bounds, Conventions(config.centre).centre_of(mesh)
+        wide_low = np.minimum(low - config.coarse_pad, centre - config.coarse_radius)
+        wide_high = np.maximum(high + config.coarse_pad, centre + config.coarse_radius)
 
         def level(low: np.ndarray, high: np.ndarray, nodes: int, stride: int, zone: float) -> Level:
             origin, spacing, dims = _lattice(low, high, nodes, stride)

@@ -17,7 +17,7 @@ from grabnet.geometry.placed import PlacedObjects
 from grabnet.geometry.rotations import matrix_to_six_d, six_d_to_matrix
 from grabnet.models.generator import SavedNetwork
 from grabnet.models.layers import BatchNorm, Head, ResidualBlock, concatenate
-from grabnet.models.published import COARSENET, PublishedWeights
+from grabnet.models.published import COARSENET, CONVENTIONS, PublishedWeights
 
 
 class CoarseNet(SavedNetwork):
@@ -30,6 +30,8 @@ class CoarseNet(SavedNetwork):
         n_hidden: features inside a residual block.
         n_joints: hand joints including the wrist.
     """
+
+    sees = ("centre", "basis")
 
     def __init__(self, bps: BPS, latent_dim: int = 16, width: int = 512, n_hidden: int = 256, n_joints: int = 16):
         super().__init__()
@@ -82,6 +84,7 @@ class CoarseNet(SavedNetwork):
             n_hidden=weights.size("enc_rb1.fc1.weight", 0, 256),
         )
         weights.fill(network)
+        network.conventions = CONVENTIONS
         return network.eval()
 
     def arguments(self) -> dict[str, int | float]:

@@ -4,16 +4,25 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Self
+from typing import ClassVar, Self
 
 from torch import Tensor, nn
 
 from grabnet.body.hand import HandModel, HandParameters
+from grabnet.geometry.conventions import ASPECTS, Conventions
 from grabnet.geometry.placed import PlacedObjects
 
 
 class SavedNetwork(nn.Module, ABC):
-    """A network whose weights file says how to rebuild it (`grabnet.models.weights`)."""
+    """A network whose weights file says how to rebuild it, and what it was trained with (`grabnet.models.weights`).
+
+    Attributes:
+        sees: aspects of an object (`ASPECTS`) that it depends on.
+        conventions: what it was trained with; set by its training and by whoever loads it.
+    """
+
+    sees: ClassVar[tuple[str, ...]] = ASPECTS
+    conventions: Conventions = Conventions()
 
     @abstractmethod
     def arguments(self) -> dict[str, int | float]:
@@ -42,6 +51,9 @@ class GraspGenerator(nn.Module, ABC):
 
     noise_dim: int
     """Standard normal numbers that one grasp is made from."""
+
+    conventions: Conventions
+    """How the objects that are given to it must be shown."""
 
     @abstractmethod
     def encode(self, objects: PlacedObjects) -> Tensor:

@@ -9,8 +9,11 @@ import torch
 from torch import Tensor, nn
 
 from grabnet.errors import UserError
+from grabnet.geometry.conventions import Conventions
 from grabnet.io.files import existing
 
+# What they were trained with (ref. 6 and 7).
+CONVENTIONS = Conventions(centre="box", distance_to="samples", basis_to="samples", rotate=False)
 # Published name of each of our layers.
 COARSENET = {
     "encoder_norm": "enc_bn1",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -13,7 +14,7 @@ from grabnet.errors import UserError
 from grabnet.geometry.rotations import matrix_to_six_d, six_d_to_matrix
 from grabnet.models.generator import SavedNetwork
 from grabnet.models.layers import BatchNorm, Head, ResidualBlock, concatenate
-from grabnet.models.published import REFINENET, PublishedWeights
+from grabnet.models.published import CONVENTIONS, REFINENET, PublishedWeights
 
 
 class RefineNet(SavedNetwork):
@@ -26,6 +27,8 @@ class RefineNet(SavedNetwork):
         n_hidden: features inside a residual block.
         dropout: probability, after each block.
     """
+
+    sees = ("centre", "distances")
 
     def __init__(
         self, hand: HandModel, iterations: int = 3, width: int = 512, n_hidden: int = 256, dropout: float = 0.3
@@ -68,6 +71,7 @@ class RefineNet(SavedNetwork):
             n_hidden=weights.size("rb1.fc1.weight", 0, 256),
         )
         weights.fill(network)
+        network.conventions = replace(CONVENTIONS, hand=hand.fingerprint)
         return network.eval()
 
     def arguments(self) -> dict[str, int | float]:

@@ -57,11 +57,15 @@ def load_model(files: Mapping[str, Path], hand: HandModel, refine: bool = True) 
         refine: False leaves a RefineNet out.
 
     Raises:
-        UserError: unreadable, trained with another hand, or networks that make no model together.
+        UserError: unreadable, trained with another hand, or networks that make no model together, such as two that know
+            objects about different centres.
     """
     networks = {kind: load_network(file, hand, kind) for kind, file in files.items() if refine or kind != "RefineNet"}
     if "CoarseNet" in networks and networks.keys() <= {"CoarseNet", "RefineNet"}:
-        return GrabNet(networks["CoarseNet"], networks.get("RefineNet")).eval()
+        try:
+            return GrabNet(networks["CoarseNet"], networks.get("RefineNet")).eval()
+        except UserError as error:
+            raise UserError(f"{files['CoarseNet']} and {files['RefineNet']} do not fit each other: {error}") from None
     if len(networks) > 1:
         raise UserError(f"{' and '.join(networks)} are no model together; name one of them.")
     return next(iter(networks.values()))

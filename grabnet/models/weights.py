@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from safetensors.torch import save
 
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
+from grabnet.geometry.conventions import Conventions
 from grabnet.io.files import existing, sha256, write_bytes
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.generator import SavedNetwork
@@ -26,7 +28,7 @@ NETWORKS: dict[str, type[SavedNetwork]] = {"CoarseNet": CoarseNet, "RefineNet": 
 def save_network(
     path: str | Path, network: SavedNetwork, provenance: dict[str, Any], matrices: torch.dtype | None = None
 ) -> None:
-    """Write weights and header atomically.
+    """Write weights and header, its conventions among it, atomically.
 
     Args:
         path: of the file.
@@ -38,6 +40,7 @@ def save_network(
     header = {
         "network": type(network).__name__,
         "sizes": json.dumps(network.arguments()),
+        "conventions": json.dumps(asdict(network.conventions)),
         "provenance": json.dumps(provenance),
     }
     tensors = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
@@ -72,6 +75,7 @@ def load_network(path: str | Path, hand: HandModel | None = None, kind: str | No
         network = NETWORKS[held].rebuild(arguments, tensors, hand)
     except UserError as error:
         raise UserError(f"{path} cannot be used: {error}") from None
+    network.conventions = read_conventions(path)
     return _filled(network, tensors, path)
 
 
@@ -94,12 +98,40 @@ def check_savable(network: SavedNetwork, hand: HandModel) -> None:
 
 def check_hand(path: str | Path, hand: HandModel) -> None:
     """Raise a `UserError` where the network at `path` is known to have been trained with another hand."""
-    trained_with = read_provenance(path).get("hand_sha256")
-    if trained_with not in (None, sha256(hand.v_template.cpu().numpy())):
+    # Files without conventions name the template alone, in their provenance.
+    trained_with = read_conventions(path).hand
+    template = read_provenance(path).get("hand_sha256") if trained_with is None else None
+    if trained_with not in (None, hand.fingerprint) or template not in (None, sha256(hand.v_template.cpu().numpy())):
         raise UserError(
             f"{path} was trained with another hand model: give that one, with hand_model=<its file> when sampling, "
             "else with hand_model=mano hand_model.path=<its file>."
         )
+
+
+def check_conventions(files: Mapping[str, Path], shown: Conventions) -> None:
+    """Raise a `UserError` where one of several networks would see objects otherwise than it was trained to.
+
+    Args:
+        files: weights files, by kind of network.
+        shown: conventions that the objects are shown by.
+    """
+    for kind, path in files.items():
+        remedy = "give the values that it was trained with, or another network"
+        read_conventions(path).check_shown(str(path), shown, NETWORKS[kind].sees, remedy)
+
+
+def read_conventions(path: str | Path) -> Conventions:
+    """What a network was trained with; of a file that does not say it, the defaults.
+
+    Raises:
+        UserError: unreadable, or conventions that are not known here.
+    """
+    with _opened(path) as file:
+        held = (file.metadata() or {}).get("conventions", "{}")
+    try:
+        return Conventions(**json.loads(held))
+    except (TypeError, ValueError, UserError) as error:
+        raise UserError(f"{path} was trained with conventions that are not known here ({error}).") from None
 
 
 def read_provenance(path: str | Path) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from grabnet.data.batches import GraspBatch
 from grabnet.data.splits import SPLITS
 from grabnet.errors import UserError
 from grabnet.geometry.bps import BPS
+from grabnet.geometry.conventions import Conventions
 from grabnet.io.files import sha256
 from grabnet.losses.grasp import CoarseNetLoss, RefineNetLoss
 from grabnet.models.coarsenet import CoarseNet
@@ -24,7 +25,7 @@ from grabnet.models.generator import GraspGenerator, SavedNetwork
 from grabnet.models.grabnet import GrabNet
 from grabnet.models.refinenet import RefineNet
 from grabnet.models.trained import find_network
-from grabnet.models.weights import check_hand, load_network
+from grabnet.models.weights import check_conventions, check_hand, load_network
 from grabnet.training.refine_inputs import RefineInput
 
 MakeOptimizer = Callable[[Iterable[nn.Parameter]], torch.optim.Optimizer]
@@ -72,6 +73,16 @@ class GraspTraining(L.LightningModule, ABC):
     def networks(self) -> dict[str, SavedNetwork]:
         """What to save, by folder within the run's."""
         return {"": self.network}
+
+    def adopt(self, conventions: Conventions) -> None:
+        """Train networks that know objects as the data show them.
+
+        Raises:
+            UserError: one that it builds on was trained to know them otherwise.
+        """
+        check_conventions({kind: Path(record["file"]) for kind, record in self.trained_from.items()}, conventions)
+        for network in self.networks.values():
+            network.conventions = conventions
 
     @property
     def generator(self) -> GraspGenerator | None:

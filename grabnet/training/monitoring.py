@@ -81,7 +81,8 @@ class GraspMonitor(L.Callback):
         for k in _evenly(self.n_pictures, len(batch)).tolist():
             number = int(batch.objects.index[k])
             mesh = objects.meshes[number]
-            solid = (mesh.vertices - mesh.centroid) @ batch.objects.rotations[k].mT.cpu().numpy()
+            centre = objects.centres[number].cpu().numpy()
+            solid = (mesh.vertices - centre) @ batch.objects.rotations[k].mT.cpu().numpy()
             hand = Shape(vertices[k].cpu(), faces.cpu(), SKIN)
             tiles.append(both_sides(Shape(solid, mesh.faces), hand, np.array([0.0, 0, 1]), np.array([0.0, 1, 0]), 200))
             captions.append(f"{objects.names[number]}: {1000 * contacts.max_penetration[k]:.1f} mm deep")

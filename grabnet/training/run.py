@@ -95,6 +95,7 @@ def _fit(
     """Each process's part, once the data is there, from the checkpoint `resumed` where there is one."""
     L.seed_everything(cfg.seed, verbose=False)
     module: GraspTraining = instantiate(cfg.model, hand=data.hand, contact=data.contact)
+    module.adopt(data.conventions)
     rehearse(module, data)
     if cfg.compile:
         compile_blocks(module.network)

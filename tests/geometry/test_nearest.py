@@ -9,7 +9,8 @@ from scipy.spatial import cKDTree
 
 from grabnet.body.anatomy import vertex_normals
 from grabnet.body.hand import HandParameters
-from grabnet.geometry.nearest import NearestVertex
+from grabnet.geometry import nearest as module
+from grabnet.geometry.nearest import NearestVertex, cloud_distance
 from grabnet.geometry.rotations import axis_angle_to_matrix
 
 
@@ -73,3 +74,15 @@ def test_gradient_is_finite_everywhere_and_exact_off_the_points():
     assert torch.autograd.gradcheck(lambda p: nearest.signed_offset(queries, p), points)
     nearest.signed_offset(points.detach(), points).sum().backward()
     assert points.grad.isfinite().all()
+
+
+def test_a_gpu_finds_what_a_tree_finds(monkeypatch):
+    """Its way, on this processor, in pieces of one and two elements."""
+    generator = torch.Generator().manual_seed(4)
+    clouds, index = torch.randn(3, 500, 3, generator=generator), torch.tensor([2, 0, 2, 1, 0])
+    queries = torch.randn(5, 60, 3, generator=generator)
+    expected = cloud_distance(queries, clouds, index)
+    monkeypatch.setattr(module, "_nearest_by_tree", module._nearest_by_force)
+    for held in (1, 2 * 60 * 500):
+        monkeypatch.setattr(module, "_HELD_DISTANCES", held)
+        torch.testing.assert_close(cloud_distance(queries, clouds, index), expected, atol=1e-6, rtol=0)

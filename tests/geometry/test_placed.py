@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -7,6 +9,7 @@ from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.placed import PlacedObjects
 from grabnet.geometry.rotations import random_rotations
 from grabnet.geometry.sdf_grid import SDFGrid
+from grabnet.training.acceleration import denormals_flushed
 from tests.geometry.shapes import box, sphere
 
 RADIUS, SIDES = 0.04, (0.05, 0.06, 0.08)
@@ -62,3 +65,45 @@ def test_selected_elements_keep_their_objects(placed):
     points = 0.05 * torch.randn(3, 10, 3, generator=torch.Generator().manual_seed(4))
     rows = torch.tensor([2, 0])
     torch.testing.assert_close(placed.select(rows).distances(points[rows]), placed.distances(points)[rows])
+
+
+def test_with_basis_samples_basis_distances_are_to_the_nearest_of_them(placed):
+    generator = torch.Generator().manual_seed(5)
+    samples = 0.04 * torch.randn(2, 300, 3, generator=generator)
+    basis = 0.05 * torch.randn(50, 3, generator=generator)
+    sampled = replace(placed, basis_samples=samples)
+    for k in range(3):
+        tree = cKDTree((samples[placed.index[k]] @ placed.rotations[k].mT).numpy())
+        np.testing.assert_allclose(sampled.basis_distances(basis)[k], tree.query(basis.numpy())[0], atol=1e-6)
+    points = basis.expand(3, -1, -1)
+    assert torch.equal(sampled.distances(points), placed.distances(points))
+
+
+def test_distances_to_samples_pull_straight_to_the_nearest(placed):
+    generator = torch.Generator().manual_seed(6)
+    samples = 0.04 * torch.randn(2, 100, 3, generator=generator)
+    points = (0.05 * torch.randn(3, 20, 3, generator=generator)).requires_grad_()
+    distances = replace(placed, samples=samples).distances(points)
+    (gradient,) = torch.autograd.grad(distances.sum(), points)
+    for k in range(3):
+        cloud = (samples[placed.index[k]] @ placed.rotations[k].mT).numpy()
+        nearest = torch.from_numpy(cloud[cKDTree(cloud).query(points[k].detach().numpy())[1]])
+        foot = points[k] - distances[k].unsqueeze(1) * gradient[k]
+        torch.testing.assert_close(foot, nearest, atol=1e-6, rtol=0)
+
+
+def test_points_that_are_not_finite_have_no_distance_to_samples(placed):
+    points = torch.zeros(3, 2, 3)
+    points[1, 0, 2], points[2, 1, 0] = torch.nan, torch.inf
+    distances = replace(placed, samples=torch.ones(2, 5, 3)).distances(points)
+    assert (distances.isfinite() == torch.tensor([[1, 1], [0, 1], [1, 0]], dtype=torch.bool)).all()
+
+
+def test_flushed_denormals_do_not_matter(placed):
+    """As in a training: the number after 0 is then 0."""
+    disc = 0.03 * torch.randn(2, 400, 3, generator=torch.Generator().manual_seed(7))
+    disc[..., 2] = torch.where(torch.arange(400) % 3 > 0, 0.0, disc[..., 2].abs())
+    points = 0.05 * torch.randn(3, 30, 3, generator=torch.Generator().manual_seed(8))
+    expected = replace(placed, samples=disc).distances(points)
+    with denormals_flushed():
+        torch.testing.assert_close(replace(placed, samples=disc).distances(points), expected)

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import smplx
 import torch
+import trimesh
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from grabnet.body.hand import OPEN_HANDS, HandParameters
 from grabnet.cli.entry import CONFIGS
 from grabnet.errors import UserError
+from grabnet.generation.grabber import Grabber
+from grabnet.geometry.conventions import Conventions
 from grabnet.geometry.rotations import random_rotations
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.refinenet import RefineNet
-from grabnet.models.weights import load_network
+from grabnet.models.weights import load_network, read_conventions
 
 SCRIPT = CONFIGS.parent / "scripts" / "import_checkpoint.py"
 # Small, but each size its own, so that none can stand for another.
@@ -233,3 +242,107 @@ def test_the_script_refuses_in_one_sentence(tmp_path):
     done = run("coarsenet", save(tmp_path, coarsenet_state()), "--bps", tmp_path / "bps.npz")
     assert done.returncode == 2
     assert done.stderr == f"error: {tmp_path / 'bps.npz'} holds no basis of points (P, 3).\n"
+
+
+def uneven_mesh(path):
+    """A box with a dense ball near one of its corners: the mean vertex lies far from the middle of the bounding box."""
+    ball = trimesh.creation.icosphere(3, 0.015)
+    ball.apply_translation((0.02, 0.015, 0.05))
+    solid = trimesh.util.concatenate([trimesh.creation.box((0.05, 0.06, 0.1)), ball])
+    solid.apply_translation((0.2, -0.1, 0.3))
+    solid.export(path)
+    return trimesh.load(path, process=False)
+
+
+def points_in_use(mesh):
+    """10,000 points as `Conventions.vertices_in_use` says they are chosen, about the middle of the bounding box."""
+    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
+    middle = (vertices.min(0) + vertices.max(0)) / 2
+    while len(vertices) < 10_000:
+        pairs = sorted({tuple(sorted((f[i], f[j]))) for f in faces.tolist() for i, j in ((0, 1), (1, 2), (2, 0))})
+        number = {pair: len(vertices) + k for k, pair in enumerate(pairs)}
+        vertices = np.concatenate([vertices, [(vertices[i] + vertices[j]) / 2 for i, j in pairs]])
+        finer = []
+        for a, b, c in faces.tolist():
+            ab, bc, ca = (number[tuple(sorted(pair))] for pair in ((a, b), (b, c), (c, a)))
+            finer += [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+        faces = np.array(finer)
+    return vertices[np.random.default_rng(0).permutation(len(vertices))[:10_000]] - middle, middle
+
+
+def plausible(coarse, fine):
+    """The same random networks, but of hands about an object of some centimetres, which distances correct by some."""
+    palm_down = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    six_d = torch.stack([palm_down, *[torch.eye(3)] * 15])[..., :2].flatten()
+    changes = [(coarse, "dec_pose", 0.1, six_d), (coarse, "dec_trans", 0.005, torch.tensor([0.02, 0.0, 0.02]))]
+    changes += [(fine, "out_p", 0.02, torch.zeros(96)), (fine, "out_t", 0.002, torch.zeros(3))]
+    for state, layer, size, bias in changes:
+        state[f"{layer}.weight"], state[f"{layer}.bias"] = state[f"{layer}.weight"] * size, bias
+    for state, layer, mean, deviation in ((coarse, "dec_bn1", 0.1, 0.05), (fine, "bn1", 0.05, 0.03)):
+        state[f"{layer}.running_mean"] = torch.full_like(state[f"{layer}.running_mean"], mean)
+        state[f"{layer}.running_var"] = torch.full_like(state[f"{layer}.running_var"], deviation**2)
+
+
+def published_grasps(mesh, basis, coarse, fine, latent):
+    """Vertices in the mesh's frame, wired as the published networks are in use (ref. 6), in plain torch and scipy."""
+    points, middle = points_in_use(mesh)
+    tree, c, r = cKDTree(points), Formulas(coarse), Formulas(fine)
+    bps = torch.from_numpy(tree.query(basis)[0]).expand(len(latent), -1)
+    d0 = torch.cat([latent, c.norm(bps, "dec_bn1")], 1)
+    h = c.block(torch.cat([d0, c.block(d0, "dec_rb1")], 1), "dec_rb2")
+    rotations, transl = c.rotations(c.linear(h, "dec_pose")), c.linear(h, "dec_trans")
+    file = OPEN_HANDS / "MANO_RIGHT.npz"
+    with contextlib.redirect_stdout(io.StringIO()):  # smplx prints about betas
+        mano = smplx.create(str(file), "mano", ext="npz", is_rhand=True, use_pca=False, flat_hand_mean=True,
+                            dtype=torch.float64)  # fmt: skip
+
+    def posed(rotations, transl):
+        turns = Rotation.from_matrix(rotations.reshape(-1, 3, 3).numpy()).as_rotvec().reshape(-1, 48)
+        turns = torch.from_numpy(turns)
+        betas = torch.zeros(len(turns), 10, dtype=torch.float64)
+        return mano(global_orient=turns[:, :3], hand_pose=turns[:, 3:], transl=transl, betas=betas).vertices
+
+    pose = rotations[..., :2].flatten(1)
+    for _ in range(3):
+        distances = torch.from_numpy(tree.query(posed(rotations, transl).detach().numpy())[0])
+        x0 = torch.cat([r.norm(distances, "bn1"), pose, transl], 1)
+        h = r.block(x0, "rb1")
+        h = r.block(torch.cat([h, x0], 1), "rb2")
+        h = r.block(torch.cat([h, x0], 1), "rb3")
+        pose, transl = pose + r.linear(h, "out_p"), transl + r.linear(h, "out_t")
+        rotations = r.rotations(pose)
+    return posed(rotations, transl).detach().numpy() + middle
+
+
+def test_imported_networks_grasp_as_the_published_ones_do(tmp_path, hand, cache_dir):
+    """From the file of a mesh to vertices: centre, points, kinds of distance, networks, and the way back."""
+    coarse, fine = coarsenet_state(), refinenet_state()
+    plausible(coarse, fine)
+    basis = np.random.default_rng(0).normal(scale=0.07, size=(1, N_BPS, 3)).astype(np.float32)
+    np.savez(tmp_path / "bps.npz", basis=basis)
+    for name, state, *option in (
+        ("coarsenet", coarse, "--bps", tmp_path / "bps.npz"),
+        ("refinenet", fine, "--hand-model", OPEN_HANDS / "MANO_RIGHT.npz"),
+    ):
+        output = tmp_path / "published" / name / "model.safetensors"
+        done = run(name, save(tmp_path, state, f"{name}.pt"), *option, "--output", output)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert read_conventions(output) == Conventions(
+            "box", "samples", "samples", 2048, 10_000, False, hand.fingerprint if name == "refinenet" else None
+        )
+    mesh = uneven_mesh(tmp_path / "object.ply")
+    assert np.linalg.norm(np.mean(mesh.vertices, 0) - np.mean(mesh.bounds, 0)) > 0.01
+
+    grabber = Grabber.from_pretrained(tmp_path / "published", hand)
+    grasps = grabber(tmp_path / "object.ply", 6, seed=4, orientation="fixed", cache_dir=cache_dir)
+    latent = torch.from_numpy(np.random.default_rng([4, 0]).standard_normal((6, LATENT), np.float32)).double()
+    expected = published_grasps(mesh, basis[0], coarse, fine, latent)
+    np.testing.assert_allclose(grasps.vertices, expected, atol=1e-4, rtol=0)
+    # Any other convention moves the hands by far more.
+    both = (grabber.generator.coarsenet, grabber.generator.refinenet)
+    known = [network.conventions for network in both]
+    for name, value in (("centre", "mean_vertex"), ("distance_to", "surface"), ("basis_to", "surface")):
+        for network, conventions in zip(both, known, strict=True):
+            network.conventions = replace(conventions, **{name: value})
+        other = grabber(tmp_path / "object.ply", 6, seed=4, orientation="fixed", cache_dir=cache_dir)
+        assert np.linalg.norm(other.vertices.numpy() - expected, axis=-1).mean() > 5e-4, name

@@ -24,7 +24,7 @@ from grabnet.evaluation.inputs import EvaluationInputs
 from grabnet.evaluation.metrics import ALL, Metric, Section
 from grabnet.evaluation.models import EvaluatedModel
 from grabnet.evaluation.protocol import PerNetwork, Score
-from grabnet.models.weights import load_network
+from grabnet.models.weights import check_conventions, load_network
 from grabnet.training.modules import reconstructed, reconstruction_errors, refined
 
 _SECTION = Section(
@@ -65,8 +65,12 @@ class Reconstruction(PerNetwork):
         for model in inputs.models:
 
             def compute(model: EvaluatedModel = model) -> list[dict]:
-                inputs.data.setup()
-                return [asdict(score) for score in reconstruction(inputs.data, inputs.hand, _networks(inputs, model))]
+                networks = _networks(inputs, model).items()
+                return [
+                    asdict(score)
+                    for name, (data, reconstruct) in networks
+                    for score in reconstruction(data, inputs.hand, {name: reconstruct})
+                ]
 
             sources = [*model.hashes.values(), settings, *inputs.fingerprint]
             for score in inputs.cache.get_json("reconstruction", sources, compute):
@@ -74,15 +78,23 @@ class Reconstruction(PerNetwork):
         return scores
 
 
-def _networks(inputs: EvaluationInputs, model: EvaluatedModel) -> dict[str, Reconstruct]:
-    """Those networks of a model that give true grasps back."""
-    networks: dict[str, Reconstruct] = {}
+def _networks(inputs: EvaluationInputs, model: EvaluatedModel) -> dict[str, tuple[GraspDataModule, Reconstruct]]:
+    """Those networks of a model that give true grasps back, each with the data as it knows them.
+
+    Raises:
+        UserError: RefineNet's source is a network that was trained to see objects otherwise than it.
+    """
+    networks: dict[str, tuple[GraspDataModule, Reconstruct]] = {}
     loaded = {kind: load_network(file, inputs.hand, kind) for kind, file in model.files.items()}
     if "CoarseNet" in loaded:
-        networks["CoarseNet"] = lambda batch: reconstructed(loaded["CoarseNet"], batch)[0]
+        networks["CoarseNet"] = (
+            inputs.data_for(loaded["CoarseNet"]),
+            lambda batch: reconstructed(loaded["CoarseNet"], batch)[0],
+        )
     if "RefineNet" in loaded:
-        source = instantiate(inputs.config.source)
-        networks["RefineNet"] = lambda batch: refined(loaded["RefineNet"], source(batch), batch)
+        source, data = instantiate(inputs.config.source), inputs.data_for(loaded["RefineNet"])
+        check_conventions(source.trained_from, data.conventions)
+        networks["RefineNet"] = data, lambda batch: refined(loaded["RefineNet"], source(batch), batch)
     return networks
 
 
