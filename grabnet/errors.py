@@ -4,7 +4,8 @@ from __future__ import annotations
 
 
 class UserError(ValueError):
-    """Bad input, told in one sentence that names the file, the value and the remedy.
+    """Bad input, reported in one sentence that names the file, the value and the remedy.
 
-    Entry points print it without a traceback and exit with code 2; any other exception is a bug of ours.
+    Commands print it without a traceback and exit with code 2, or 1 where the rest was done; any other exception is a
+    bug of ours.
     """

@@ -11,8 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from grabnet.benchmarks.timing import Case, Timing, measure
-from grabnet.cli.checks import at_least, one_of
+from grabnet.cli.checks import at_least
 from grabnet.errors import UserError
+from grabnet.generation.config import usable_device
 from grabnet.io.files import write_json
 from grabnet.io.provenance import provenance
 
@@ -53,9 +54,7 @@ class BenchmarkConfig:
         if self.suite not in SUITES:
             raise UserError(f"There is no suite '{self.suite}'; choose from {', '.join(SUITES)}.")
         at_least(self, runs=2, batch=1, threads=1, seed=0)
-        one_of(self, device=("cpu", "cuda"))
-        if self.device == "cuda" and not torch.cuda.is_available():
-            raise UserError("device is 'cuda', but torch finds no CUDA device here; use cpu.")
+        usable_device(self.device)
         if self.batch is None:
             object.__setattr__(self, "batch", BATCH[self.suite])
 

@@ -24,6 +24,17 @@ def at_least(config: object, where: str = "", /, **least: float) -> None:
             raise UserError(f"{where}{name} is {value}; it must be at least {low}.")
 
 
+def positive(config: object, *names: str) -> None:
+    """Refuse the first of these values that is not above 0.
+
+    Raises:
+        UserError: "contact_distance is 0; it must be above 0."
+    """
+    for name in names:
+        if not getattr(config, name) > 0:
+            raise UserError(f"{name} is {getattr(config, name)}; it must be above 0.")
+
+
 def one_of(config: object, where: str = "", /, **options: Collection[object]) -> None:
     """Refuse the first value that is none of its options.
 

@@ -54,12 +54,16 @@ def _parsed(argument: str) -> Override | None:
 
 
 def _is_as_typed(override: Override, may_be_list: bool) -> bool:
-    """Whether Hydra reads null, a file name, or a list of these, without a ~ to expand."""
+    """Whether Hydra reads null, a file name, or a list of these or of such lists, without a ~ to expand."""
     if override.is_sweep_override():
         return False
-    value = override.value()
-    items = value if isinstance(value, list) and may_be_list else [value]
-    return all(item is None or (isinstance(item, str) and not item.startswith("~")) for item in items)
+    return _is_name(override.value(), may_be_list)
+
+
+def _is_name(value: object, may_be_list: bool) -> bool:
+    if isinstance(value, list):
+        return may_be_list and all(_is_name(item, may_be_list) for item in value)
+    return value is None or (isinstance(value, str) and not value.startswith("~"))
 
 
 def _item(text: str) -> str:

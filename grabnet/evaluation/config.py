@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from grabnet.cli.checks import at_least, one_of
-from grabnet.data.datamodule import SPLITS
-from grabnet.errors import UserError
+from grabnet.cli.checks import at_least, one_of, positive
+from grabnet.data.splits import SPLITS
+from grabnet.generation.config import usable_device
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class EvaluationConfig:
         UserError: a value out of range.
     """
 
-    models: list[Any]
+    models: str | list[Any]
     runs: str
     grasps: str | list[str] | None
     output: str
@@ -53,8 +53,8 @@ class EvaluationConfig:
         at_least(self, n=1, halo_samples=1, vertex_samples=1, contact_samples=1, processes=1)
         at_least(self, max_ground_truth=2, draws=2, seed=0, simulated=0, pictures=0, scenes=0)
         one_of(self, split=SPLITS)
-        if not self.contact_distance > 0:
-            raise UserError(f"contact_distance is {self.contact_distance}; it must be positive, in metres.")
+        positive(self, "contact_distance")
+        usable_device(self.device)
 
     @property
     def folders(self) -> list[Path]:

@@ -90,8 +90,10 @@ class EvaluationInputs:
 
     @cached_property
     def training_objects(self) -> list[str]:
-        """Names of training objects with a mesh, without the objects that are evaluated."""
+        """Names of training objects with a mesh; where objects are held out, without those that are evaluated."""
         names = self.training_part.shown_objects
+        if self.data.split.by != "object":
+            return [name for name in names if name in self.files]
         return [name for name in names if name in self.files and name not in self.objects]
 
     @cached_property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -111,7 +112,7 @@ def _folders(inputs: EvaluationInputs, taken: set[str]) -> list[Method]:
         if not method.hands:
             raise UserError(f"{folder} has no folder called like an object; these are {missing}.")
         if missing:
-            print(f"{name} has no grasps of {missing}")
+            print(f"error: {name} has no grasps of {missing}", file=sys.stderr)
             method.about += f", which has none of {missing}"
         taken.add(name)
         methods.append(method)

@@ -11,6 +11,7 @@ from pathlib import Path
 import torch
 
 from grabnet.body.hand import HandModel
+from grabnet.errors import UserError
 from grabnet.generation.grabber import Grabber
 from grabnet.io.files import sha256
 
@@ -55,16 +56,18 @@ class EvaluatedModel:
 
 
 def load_models(
-    names: Sequence[str | Sequence[str]], hand: HandModel, runs: str | Path, device: torch.device
+    names: str | Sequence[str | Sequence[str]], hand: HandModel, runs: str | Path, device: torch.device
 ) -> list[EvaluatedModel]:
     """The models of these names, as `Grabber.from_pretrained` takes them, on a device.
 
     Raises:
-        UserError: one that is missing, damaged or trained with another hand.
+        UserError: one that is missing, damaged, trained with another hand, or named twice.
     """
-    models = []
-    for name in names:
+    models: list[EvaluatedModel] = []
+    for name in [names] if isinstance(names, str) else names:
         # Each with a hand of its own: the data's stays on the CPU.
         grabber = Grabber.from_pretrained(name, deepcopy(hand), runs=runs).to(device)
         models.append(EvaluatedModel(name if isinstance(name, str) else " + ".join(name), grabber))
+        if models[-1].name in [model.name for model in models[:-1]]:
+            raise UserError(f"models names {models[-1].name} twice; name each once.")
     return models

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import torch
 
-from grabnet.cli.checks import at_least, one_of
+from grabnet.cli.checks import at_least, one_of, positive
 from grabnet.contact.rules import ContactRules
 from grabnet.errors import UserError
 from grabnet.generation.formats import FORMATS
@@ -56,8 +56,7 @@ class SamplingConfig:
             raise UserError(f"betas holds {wrong[0]!r}; it must be a list of numbers.")
         if unknown := [f for f in listed(self.format) if f not in FORMATS]:
             raise UserError(f"format is '{unknown[0]}'; it can be any of {', '.join(FORMATS)}.")
-        if not self.contact_distance > 0:
-            raise UserError(f"contact_distance is {self.contact_distance}; it must be positive, in metres.")
+        positive(self, "contact_distance")
         usable_device(self.device)
 
 

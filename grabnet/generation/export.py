@@ -16,8 +16,6 @@ from grabnet.generation.viewer import write_viewer
 from grabnet.io.files import filling
 from grabnet.visual.pictures import save_image
 
-PAGE, SHEET = "index.html", "contact_sheet.png"
-
 
 def result_folders(meshes: Sequence[Path], output: Path) -> dict[Path, Path]:
     """A folder below `output` for each mesh, called like the mesh.
@@ -65,11 +63,11 @@ def write_grasps(
         page: grasps in index.html, at most; no page for 0.
         contact: of the grasps, for contact.npz and, where `formats` has ply, coloured meshes; not written when omitted.
     """
-    with filling(folder, (PAGE, SHEET, *RESULTS)) as temporary:
+    with filling(folder, RESULTS) as temporary:
         if page:
-            write_viewer(temporary / PAGE, grasps.first(page), record["name"])
+            write_viewer(temporary / "index.html", grasps.first(page), record["name"])
         if sheet:
-            save_image(temporary / SHEET, grasp_sheet(grasps.first(sheet)))
+            save_image(temporary / "contact_sheet.png", grasp_sheet(grasps.first(sheet)))
         if contact is not None:
             write_contact_maps(temporary, contact, grasps, "ply" in formats)
         grasps.write(temporary, formats, record)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from torch import Tensor, nn
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel, HandParameters
+from grabnet.cli.checks import at_least, one_of, positive
 from grabnet.contact.contacts import CONTACT_DISTANCE, Contacts
 from grabnet.errors import UserError
 from grabnet.generation.grasps import Grasps
@@ -50,7 +52,9 @@ class Grabber(nn.Module):
     def __init__(self, generator: GraspGenerator, hand: HandModel, batch_size: int = 256, n_turns: int = 128):
         super().__init__()
         self.generator, self.hand = generator.eval(), hand
-        self.batch_size, self.n_turns = batch_size, n_turns
+        self.batch_size = batch_size
+        self.n_turns = n_turns
+        at_least(self, batch_size=1, n_turns=1)
         self.weights: dict[str, Path] = {}
         self.register_buffer("finger", Anatomy.of(hand).finger, persistent=False)
 
@@ -120,14 +124,16 @@ class Grabber(nn.Module):
             cache_dir: of the signed-distance grid, as in `SDFGrid.load_or_build`.
 
         Raises:
-            UserError: an unreadable file, an object of a size that no hand takes, or an unknown option.
+            UserError: an unreadable file, an object of a size that no hand takes, or an option out of range.
         """
         device = self.finger.device
+        asked = SimpleNamespace(n=n, seed=seed, side=side, orientation=orientation, contact_distance=contact_distance)
+        at_least(asked, n=1, seed=0)
+        one_of(asked, side=SIDES, orientation=ORIENTATIONS)
+        positive(asked, "contact_distance")
         placed = load_object(mesh, scale, up, max_size, min_size, to_object)
         betas = self._betas(betas)
         rest = self.hand.shaped(betas)
-        if side not in SIDES:
-            raise UserError(f"side is '{side}'; it can be {', '.join(SIDES)}.")
         known, turns = self.generator.conventions, _turns(orientation, min(n, self.n_turns), seed).to(device)
         placement = Placement.of(placed, turns, side, known)
         grid = SDFGrid.load_or_build(placed.solid, cache_dir, AtlasConfig(centre=known.centre))
@@ -209,6 +215,4 @@ def _turns(orientation: str, n: int, seed: int) -> Tensor:
         return about_z(torch.from_numpy(rng.uniform(0, 2 * np.pi) + np.arange(n) * _GOLDEN_ANGLE).float())
     if orientation == "fixed":
         return torch.eye(3).unsqueeze(0)
-    if orientation == "random":
-        return quaternion_to_matrix(torch.from_numpy(rng.standard_normal((n, 4), np.float32)))
-    raise UserError(f"orientation is '{orientation}'; it can be {', '.join(ORIENTATIONS)}.")
+    return quaternion_to_matrix(torch.from_numpy(rng.standard_normal((n, 4), np.float32)))

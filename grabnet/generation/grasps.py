@@ -20,7 +20,7 @@ from grabnet.geometry.rotations import matrix_to_axis_angle
 from grabnet.io.files import filling, write_json
 
 # What a folder of results holds. The last one is written last: where it lies, the others are complete.
-RESULTS = ("meshes", "contact", "contact.npz", "grasps.npz", "grasps.json")
+RESULTS = ("meshes", "contact", "contact.npz", "index.html", "contact_sheet.png", "grasps.npz", "grasps.json")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -110,7 +110,7 @@ class Grasps:
         """Write grasps.npz, grasps.json and meshes/ into `folder`, in place of earlier ones, all or nothing.
 
         Args:
-            folder: other files in it stay as they are.
+            folder: earlier results in it give way, other files stay as they are.
             formats: of the meshes, any of `FORMATS`; all lie in the frame and units of the object's mesh.
             record: facts for grasps.json, ready for JSON, beside the list `grasps` and the definitions of its numbers.
 

@@ -30,7 +30,7 @@ class Placement:
     Attributes:
         to_object: (4, 4) float64 similarity, mesh to object.
         centre: (3,) point of the object that lies at the origin of the world, object frame, metres.
-        turns: (K, 3, 3) rotations, object to world.
+        turns: (K, 3, 3) rotations of the object in the right-hand world; for left hands, of its mirror image there.
         mirror: (3, 3) world to right-hand world: the identity, or a reflection in x for left hands.
         samples: (1, N, 3) points of the object that distances of the hand are measured to, as in `PlacedObjects`.
         basis_samples: (1, N, 3) likewise, for basis points.

@@ -33,10 +33,6 @@ class ObjectMesh:
         """The mesh in metres, z up."""
         return self.mesh.transformed(self.to_object)
 
-    @property
-    def metres_per_unit(self) -> float:
-        return float(np.linalg.det(self.to_object[:3, :3]) ** (1 / 3))
-
 
 def load_object(
     mesh: Mesh | str | Path,
@@ -58,14 +54,30 @@ def load_object(
         to_object: (4, 4) from the mesh's frame and units to metres, z up, in place of scale and up.
 
     Raises:
-        UserError: an unreadable file, an unknown axis, or a size out of bounds.
+        UserError: an unreadable file, an unknown axis, a size out of bounds, or a to_object that is no similarity.
     """
     name = "The mesh" if isinstance(mesh, Mesh) else mesh
     if to_object is None:
         to_object = file_to_object("" if isinstance(mesh, Mesh) else mesh, scale, up)
-    loaded = ObjectMesh(mesh if isinstance(mesh, Mesh) else load_mesh(mesh), np.asarray(to_object, np.float64))
+    to_object = np.asarray(to_object, np.float64)
+    _check_similarity(to_object)
+    loaded = ObjectMesh(mesh if isinstance(mesh, Mesh) else load_mesh(mesh), to_object)
     check_size(loaded.solid, name, max_size, min_size)
     return loaded
+
+
+def _check_similarity(matrix: np.ndarray) -> None:
+    """Raise a `UserError` for a (4, 4) matrix that is no rigid motion times a scale."""
+    if matrix.shape == (4, 4) and np.isfinite(matrix).all() and (matrix[3] == [0, 0, 0, 1]).all():
+        linear = matrix[:3, :3]
+        if np.linalg.det(linear) > 0:
+            scale = np.linalg.det(linear) ** (1 / 3)
+            if np.abs(linear @ linear.T / scale**2 - np.eye(3)).max() < 1e-4:
+                return
+    raise UserError(
+        "to_object is no rotation times a scale, with a shift: it must be (4, 4), finite, turn without mirroring, and "
+        "scale all axes alike."
+    )
 
 
 def file_to_object(path: str | Path, scale: float = 1.0, up: str | None = None) -> np.ndarray:

@@ -51,8 +51,17 @@ def filling(folder: str | Path, names: Sequence[str]) -> Iterator[Path]:
 
     Earlier files and folders of these names give way; everything else in `folder` stays. The last name is removed first
     and moved last: where it lies, the others are complete and belong to it.
+
+    Raises:
+        UserError: files or folders of these names without the last one: they are not of earlier results.
     """
     folder = Path(folder)
+    foreign = [name for name in names if (folder / name).exists()]
+    if foreign and names[-1] not in foreign:
+        raise UserError(
+            f"{folder / foreign[0]} is not of earlier results, which have {names[-1]} beside it: move it, or choose "
+            "another folder."
+        )
     folder.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:

@@ -90,7 +90,7 @@ def find_network(kind: str, path: str | Path | None, runs: str | Path = "runs") 
     there = ", ".join(f"{file.parent} ({k})" for k, file in sorted(newest.items())) or "no trained network"
     raise UserError(
         f"There is no trained {kind} below {runs}, which holds {there}: train one with `make demo` or "
-        f"`python train.py model={kind.lower()}`, or name one with {kind.lower()}=<run folder or {FILE_NAME}>."
+        f"`python train.py model={kind.lower()}`, or name one with model.{kind.lower()}=<run folder or {FILE_NAME}>."
     )
 
 

@@ -69,12 +69,14 @@ def load_network(path: str | Path, hand: HandModel | None = None, kind: str | No
             raise UserError(f"{path} holds {held or 'no grabnet network'}; it must hold {known}.")
         if hand is not None:
             check_hand(path, hand)
-        arguments = json.loads(header["sizes"])
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     try:
-        network = NETWORKS[held].rebuild(arguments, tensors, hand)
+        network = NETWORKS[held].rebuild(json.loads(header["sizes"]), tensors, hand)
     except UserError as error:
         raise UserError(f"{path} cannot be used: {error}") from None
+    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise UserError(f"{path} does not fit the {held} of this version ({reason}); train it again.") from None
     network.conventions = read_conventions(path)
     return _filled(network, tensors, path)
 
@@ -91,7 +93,7 @@ def check_savable(network: SavedNetwork, hand: HandModel) -> None:
     try:
         copy = kind.rebuild(json.loads(json.dumps(network.arguments())), tensors, hand)
         copy.load_state_dict(tensors, strict=True)
-    except (TypeError, ValueError, KeyError, RuntimeError, UserError) as error:
+    except (AttributeError, TypeError, ValueError, KeyError, RuntimeError, UserError) as error:
         reason = " ".join(str(error).split())
         raise UserError(f"{kind.__name__} cannot be rebuilt from its own arguments() and weights: {reason}") from None
 

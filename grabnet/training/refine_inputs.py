@@ -84,7 +84,7 @@ class CoarseNetGuesses(RefineInput):
             file = weights_file(coarsenet)
             self.network = load_network(file, kind="CoarseNet")
         except UserError as error:  # the path may be a config's default
-            raise UserError(f"model.source.coarsenet=<run folder or weights file>: {error}") from None
+            raise UserError(f"source: its coarsenet must be a run folder or weights file: {error}") from None
         self.trained_from = {"CoarseNet": file}
         self.spread = spread
 

@@ -23,17 +23,15 @@ def rehearse(module: GraspTraining, data: GraspDataModule) -> None:
     """
     for network in module.networks.values():
         check_savable(network, module.hand)
-    if module.generator is None:
-        return
     batch = data.assemble("train", torch.arange(2))
-    name = type(module.generator).__name__
+    name = type(module).__name__
     was_training = module.training
     try:
         with torch.random.fork_rng([]):
             vertices = module.eval().grasp(batch)
     except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        raise UserError(f"{name} makes no grasps: its encode or sample fails ({reason}).") from error
+        raise UserError(f"{name} makes no grasps: its generator, or its own grasp, fails ({reason}).") from error
     finally:
         module.train(was_training)
     if vertices.shape != batch.vertices.shape:

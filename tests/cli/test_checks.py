@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from grabnet.cli.checks import at_least, one_of
+from grabnet.cli.checks import at_least, one_of, positive
 from grabnet.errors import UserError
 
 CONFIG = SimpleNamespace(n=0, seed=0, threads=None, share=math.nan, hand="x", up=None)
@@ -31,3 +31,10 @@ def test_others_are_refused_in_one_wording(check, sentence):
     with pytest.raises(UserError) as error:
         check()
     assert str(error.value) == sentence
+
+
+@pytest.mark.parametrize("value", [0, -1.0, float("nan")])
+def test_what_is_not_above_zero_is_refused(value):
+    with pytest.raises(UserError, match=r"size is .*; it must be above 0\."):
+        positive(SimpleNamespace(size=value), "size")
+    positive(SimpleNamespace(size=1e-9), "size")

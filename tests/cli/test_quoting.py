@@ -68,3 +68,9 @@ def test_other_arguments_stay_as_they_are():
 def test_a_sweep_over_files_stays_one():
     arguments = ["-m", "file=a,b", "mesh=ä,b", "file=glob(*)"]
     assert quoted(arguments, ["file"], ["mesh"]) == ["-m", "file=a,b", 'mesh="ä","b"', "file=glob(*)"]
+
+
+def test_lists_within_a_list_stay():
+    """A model of several networks among others."""
+    typed = "models=[[runs/a,runs/b],open]"
+    assert quoted([typed], [], ["models"]) == [typed]

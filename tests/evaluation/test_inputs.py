@@ -7,6 +7,7 @@ from hydra.utils import instantiate
 
 from grabnet.cli.entry import compose
 from grabnet.evaluation.inputs import EvaluationInputs
+from grabnet.evaluation.methods import make_methods
 
 
 def test_held_out_people_are_compared_with_their_own_grasps(tiny_dataset, cache_dir):
@@ -18,6 +19,7 @@ def test_held_out_people_are_compared_with_their_own_grasps(tiny_dataset, cache_
         "data.split.test=[s2]",
         f"cache_dir={cache_dir}",
         f"data.cache_dir={cache_dir}",
+        "models=[]",
     ]
     inputs = EvaluationInputs(instantiate(compose("evaluate", values), _convert_="object"))
     store = inputs.store
@@ -26,3 +28,5 @@ def test_held_out_people_are_compared_with_their_own_grasps(tiny_dataset, cache_
         assert {store.sequences[number] for number in np.unique(hands.sequences)} == {f"s2/{name}_lift_1"}
     assert inputs.training_part.frames.subject.unique().tolist() == [store.subjects.index("s1")]
     assert len(inputs.training_keypoints) == len(store.frames) / 2
+    # The naive baseline takes grasps of the same objects by the others.
+    assert [method.name for method in make_methods(inputs)] == ["Ground truth", "Naive baseline"]

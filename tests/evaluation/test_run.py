@@ -348,7 +348,7 @@ def test_grasps_for_another_mesh_are_refused(call, made):
         ("only=[mug]", "only names mug; the test objects are ring"),
         ("models=[anywhere]", "anywhere does not exist"),
         ("device=tpu", "it can be auto, cpu, cuda"),
-        ("contact_distance=0", "must be positive"),
+        ("contact_distance=0", "must be above 0"),
     ],
 )
 def test_wrong_values_are_refused(call, override, sentence):

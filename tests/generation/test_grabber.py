@@ -200,10 +200,22 @@ def test_winding_does_not_matter(grabber, cache_dir):
     )
 
 
-@pytest.mark.parametrize(("name", "value"), [("side", "both"), ("orientation", "sideways")])
-def test_wrong_words_are_told(grabber, block, cache_dir, name, value):
-    with pytest.raises(UserError, match=f"{name} is '{value}'; it can be"):
-        grabber(block, 1, cache_dir=cache_dir, **{name: value})
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("side", "both", "side is 'both'; it can be"),
+        ("orientation", "sideways", "orientation is 'sideways'; it can be"),
+        ("n", 0, "n is 0; it must be at least 1"),
+        ("seed", -1, "seed is -1; it must be at least 0"),
+        ("contact_distance", 0.0, r"contact_distance is 0\.0; it must be above 0"),
+        ("betas", [0.0] * 11, "betas has 11 values; this hand model has 10"),
+        ("scale", -1.0, "must be a positive number"),
+        ("to_object", np.diag([-1.0, 1, 1, 1]), "to_object is no rotation"),
+    ],
+)
+def test_wrong_options_are_refused(grabber, block, cache_dir, name, value, said):
+    with pytest.raises(UserError, match=said):
+        grabber(block, cache_dir=cache_dir, **{name: value})
 
 
 class Calls(TorchDispatchMode):

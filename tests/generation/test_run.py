@@ -156,7 +156,7 @@ def test_without_refinenet(call, folder, tmp_path, capsys):
         ({"betas": [1, "big"]}, "betas holds 'big'"),
         ({"model": "/nowhere"}, "does not exist"),
         ({"device": "tpu"}, "auto, cpu, cuda"),
-        ({"contact_distance": 0.0}, "must be positive"),
+        ({"contact_distance": 0.0}, "must be above 0"),
     ],
 )
 def test_wrong_values_are_told(call, folder, values, said):

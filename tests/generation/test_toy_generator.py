@@ -70,6 +70,17 @@ class Clumsy(ToyNet):
         return super().sample(code[:1], objects, noise, rest)
 
 
+class Silent(SavedNetwork):
+    """No generator."""
+
+    def __init__(self):
+        super().__init__()
+        self.layer = nn.Linear(2, 2)
+
+    def arguments(self):
+        return {}
+
+
 class Stranger(ToyNet):
     """In no register."""
 
@@ -88,7 +99,7 @@ def configs(tmp_path_factory) -> Path:
 def registered():
     """The one line that a new network adds."""
     with pytest.MonkeyPatch.context() as patch:
-        for network in (ToyNet, Mute, Clumsy):
+        for network in (ToyNet, Mute, Clumsy, Silent):
             patch.setitem(NETWORKS, network.__name__, network)
         yield
 
@@ -170,7 +181,8 @@ def test_it_is_evaluated(run, tiny_dataset, cache_dir, tmp_path):
     [
         (Stranger, r"Stranger cannot be saved: add it to NETWORKS in grabnet/models/weights\.py, which has CoarseNet"),
         (Mute, r"Mute cannot be rebuilt from its own arguments\(\) and weights: .*depth"),
-        (Clumsy, r"Clumsy makes no grasps: its encode or sample fails \(RuntimeError"),
+        (Clumsy, r"ToyTraining makes no grasps: .* fails \(RuntimeError"),
+        (Silent, r"ToyTraining makes no grasps: .* fails \(AttributeError"),
     ],
 )
 def test_what_could_not_be_used_is_refused_before_it_is_trained(config, tmp_path, network, said):

@@ -57,7 +57,6 @@ def test_a_file_and_its_mesh_are_the_same_object(tmp_path):
     np.testing.assert_array_equal(from_file.to_object, from_mesh.to_object)
     np.testing.assert_allclose(from_file.solid.extents, [0.02, 0.03, 0.07], atol=1e-6)
     np.testing.assert_allclose(from_file.mesh.extents, [20, 70, 30], atol=1e-4)
-    assert from_file.metres_per_unit == pytest.approx(0.001)
 
 
 def test_a_mesh_in_millimetres_is_refused_like_its_file(tmp_path):
@@ -66,3 +65,20 @@ def test_a_mesh_in_millimetres_is_refused_like_its_file(tmp_path):
     for given in (path, load_mesh(path)):
         with pytest.raises(UserError, match=r"largest side of 90, larger than 40 cm .* pass scale=0\.001"):
             load_object(given)
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        np.diag([-1.0, 1, 1, 1]),  # a reflection
+        np.diag([1.0, 1, 2, 1]),  # axes of different scales
+        np.array([[1.0, 0.5, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]),  # a shear
+        np.zeros((4, 4)),
+        np.diag([1.0, 1, np.nan, 1]),
+        np.eye(3),
+        np.diag([1.0, 1, 1, 2]),
+    ],
+)
+def test_what_is_no_similarity_is_refused(matrix):
+    with pytest.raises(UserError, match="to_object is no rotation times a scale"):
+        load_object(box((0.1, 0.05, 0.02)), to_object=matrix)

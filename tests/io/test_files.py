@@ -10,7 +10,7 @@ from grabnet.data.frames import finish_store
 from grabnet.errors import UserError
 from grabnet.geometry.bps import BPS
 from grabnet.geometry.sdf_grid import Level, SDFGrid
-from grabnet.io.files import existing, replacing, sha256, write_json
+from grabnet.io.files import existing, filling, replacing, sha256, write_json
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.weights import save_network
 from grabnet.open.grasps.store import load_open_grasps, save_open_grasps
@@ -37,13 +37,12 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
             folder / "a.safetensors"
         ),
         lambda folder: finish_store(folder, "", {"s1": torch.zeros(778, 3)}, [], {}),
-        lambda folder: finish_store(folder, "", {"s1": torch.zeros(1, 3)}, [], {}, contact=torch.zeros(2000)),
         lambda folder: save_open_grasps(folder / "a.safetensors", load_open_grasps()),
         lambda folder: decomposition._save(
             decomposition._Found([np.zeros((2000, 3), np.float32)], None), folder / "a.safetensors"
         ),
     ],
-    ids=["network", "grid", "subjects", "contact", "grasps", "pieces"],
+    ids=["network", "grid", "subjects", "grasps", "pieces"],
 )
 def test_a_full_disk_is_an_os_error_whatever_is_written(write, tmp_path):
     with files_of_at_most(4096), pytest.raises(OSError, match="File too large"):
@@ -76,3 +75,20 @@ def test_a_missing_file_is_told_with_what_lies_beside(tmp_path):
     with pytest.raises(UserError, match="nor does its folder"):
         existing(tmp_path / "no" / "cup.ply", "Mesh")
     assert existing(tmp_path / "mug.ply", "Mesh") == tmp_path / "mug.ply"
+
+
+def test_what_is_not_of_earlier_results_is_never_deleted(tmp_path):
+    """A folder of the user's that is called like a result."""
+    mine = tmp_path / "meshes" / "scan.obj"
+    mine.parent.mkdir()
+    mine.write_text("mine")
+    with (
+        pytest.raises(UserError, match=r"meshes is not of earlier results, which have done\.json beside it"),
+        filling(tmp_path, ("meshes", "done.json")) as temporary,
+    ):
+        (temporary / "done.json").write_text("{}")
+    assert mine.read_text() == "mine"
+    (tmp_path / "done.json").write_text("{}")  # of earlier results
+    with filling(tmp_path, ("meshes", "done.json")) as temporary:
+        (temporary / "done.json").write_text("{}")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["done.json"]

@@ -103,10 +103,13 @@ def write_store(root: Path, source: FrameSource) -> None:
     """
     store = root / "frames"
     recipe = {"store": FORMAT, "hand_sha256": source.hand.fingerprint} | source.recipe()
+    remedy = f"delete {store}, or choose another data.root"
+    if (store / "store.json").exists():  # complete: nothing is written, which may be forbidden
+        return start_store(store, recipe, remedy)
     try:
         store.mkdir(parents=True, exist_ok=True)
         with FileLock(store / ".lock"):
-            start_store(store, recipe, f"delete {store}, or choose another data.root")
+            start_store(store, recipe, remedy)
             if not (store / "store.json").exists():
                 _write(root, store, source, recipe)
     except OSError as error:

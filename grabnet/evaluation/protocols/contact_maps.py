@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -68,8 +69,12 @@ class ContactMaps(PerGrasp):
 
     def write(self, folder: Path, methods: Sequence[Method], inputs: EvaluationInputs) -> None:
         """Write `contact/<method>/<object>…`, as `write_maps` does."""
+        places: dict[str, Path] = {}  # of names that differ in other characters only, each its own
         for method in methods:
-            place = folder / "contact" / re.sub("[^a-z0-9]+", "_", method.name.lower()).strip("_")
+            plain = re.sub("[^a-z0-9]+", "_", method.name.lower()).strip("_")
+            names = itertools.chain([plain], (f"{plain}_{k}" for k in itertools.count(2)))
+            unique = next(name for name in names if name not in places)
+            place = places[unique] = folder / "contact" / unique
             for name, hands in method.hands.items():
                 maps = {node: method.results[name][f"maps/{node}"] for node in ("object", "hand")}
                 write_maps(place, name, inputs.meshes[name], hands, maps, inputs.config.scenes)

@@ -19,11 +19,13 @@ from rich.progress import track
 
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.data.batches import GraspBatch
-from grabnet.data.datamodule import SPLITS, GraspDataModule
+from grabnet.data.datamodule import GraspDataModule
+from grabnet.data.splits import SPLITS
 from grabnet.evaluation.inputs import EvaluationInputs
 from grabnet.evaluation.metrics import ALL, Metric, Section
 from grabnet.evaluation.models import EvaluatedModel
 from grabnet.evaluation.protocol import PerNetwork, Score
+from grabnet.io.files import sha256
 from grabnet.models.weights import check_conventions, load_network
 from grabnet.training.modules import reconstructed, reconstruction_errors, refined
 
@@ -62,6 +64,7 @@ class Reconstruction(PerNetwork):
     def __call__(self) -> list[Score]:
         inputs, scores = self.inputs, []
         settings = json.dumps([inputs.config.source, inputs.config.data], sort_keys=True)
+        trained_from = [sha256(file) for file in instantiate(inputs.config.source).trained_from.values()]
         for model in inputs.models:
 
             def compute(model: EvaluatedModel = model) -> list[dict]:
@@ -72,7 +75,7 @@ class Reconstruction(PerNetwork):
                     for score in reconstruction(data, inputs.hand, {name: reconstruct})
                 ]
 
-            sources = [*model.hashes.values(), settings, *inputs.fingerprint]
+            sources = [*model.hashes.values(), settings, *trained_from, *inputs.fingerprint]
             for score in inputs.cache.get_json("reconstruction", sources, compute):
                 scores.append(Score(**score | {"network": model.title(score["network"], among=inputs.models)}))
         return scores

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from grabnet.data.datamodule import SPLITS
+from grabnet.data.splits import SPLITS
 from grabnet.evaluation.bootstrap import Estimate
 from grabnet.evaluation.cache import Cache
 from grabnet.evaluation.methods import Method

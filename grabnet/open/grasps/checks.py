@@ -14,7 +14,7 @@ from grabnet.open.grasps.energy import overlaps, sphere_clearance
 from grabnet.open.grasps.posing import FOREARM_RADIUS, GraspHand, GraspPose, Posed
 from grabnet.open.grasps.posture import PostureConfig, discomfort
 from grabnet.open.grasps.proposals import Proposals
-from grabnet.open.grasps.scene import GraspScene
+from grabnet.open.grasps.scene import SynthesisScene
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class GraspMeasures(NamedTuple):
 
 
 def measure(
-    scene: GraspScene,
+    scene: SynthesisScene,
     hand: GraspHand,
     pose: GraspPose,
     proposals: Proposals,
@@ -121,7 +121,7 @@ def verdicts(measures: GraspMeasures, on_table: Tensor, config: AcceptanceConfig
     } | {name: getattr(m, name) <= getattr(config, name) for name in sorted(bounded)}
 
 
-def _through(scene: GraspScene, hand: GraspHand, posed: Posed, steps: int = 7) -> Tensor:
+def _through(scene: SynthesisScene, hand: GraspHand, posed: Posed, steps: int = 7) -> Tensor:
     """(B, V) mm of the line from the point inside the hand to each vertex, beyond where it first enters the object.
 
     Signed distance at the vertex can't tell that a fingertip has come out of a thin wall on the other side; this can.

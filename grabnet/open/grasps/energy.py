@@ -11,7 +11,7 @@ from torch.nn.functional import normalize
 from grabnet.open.grasps.posing import FOREARM_RADIUS, GraspHand, GraspPose, Posed
 from grabnet.open.grasps.posture import PostureConfig, discomfort
 from grabnet.open.grasps.proposals import Proposals, pad_weights
-from grabnet.open.grasps.scene import GraspScene
+from grabnet.open.grasps.scene import SynthesisScene
 from grabnet.open.grasps.templates import regularity
 
 
@@ -55,7 +55,7 @@ class GraspEnergy:
 
     def __init__(
         self,
-        scene: GraspScene,
+        scene: SynthesisScene,
         hand: GraspHand,
         proposals: Proposals,
         prior: Tensor,

@@ -13,7 +13,7 @@ from grabnet.open.grasps.energy import EnergyConfig, GraspEnergy
 from grabnet.open.grasps.posing import GraspHand, GraspPose
 from grabnet.open.grasps.posture import PostureConfig
 from grabnet.open.grasps.proposals import Proposals
-from grabnet.open.grasps.scene import GraspScene
+from grabnet.open.grasps.scene import SynthesisScene
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class OptimiserConfig:
 
 
 def optimise(
-    scene: GraspScene,
+    scene: SynthesisScene,
     hand: GraspHand,
     proposals: Proposals,
     limits: Tensor,

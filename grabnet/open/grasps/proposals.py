@@ -11,7 +11,7 @@ from torch.nn.functional import normalize
 
 from grabnet.open.grasps.posing import FOREARM_RADIUS, GraspHand, GraspPose
 from grabnet.open.grasps.posture import PostureConfig, discomfort
-from grabnet.open.grasps.scene import GraspScene, Part
+from grabnet.open.grasps.scene import Part, SynthesisScene
 from grabnet.open.grasps.templates import KINDS, Template
 
 KIND_NAMES = tuple(KINDS)
@@ -57,7 +57,7 @@ class Proposals(NamedTuple):
 
 
 def propose(
-    scene: GraspScene,
+    scene: SynthesisScene,
     hand: GraspHand,
     templates: dict[str, Template],
     n: int,
@@ -172,7 +172,7 @@ def _kinds(
     return torch.multinomial(weight, 1, generator=generator).squeeze(1)
 
 
-def _score(scene: GraspScene, hand: GraspHand, candidates: Proposals) -> Tensor:
+def _score(scene: SynthesisScene, hand: GraspHand, candidates: Proposals) -> Tensor:
     """(N,) overlap with object and table in mm² and distance of the pads in mm, weighted as they matter."""
     pads = hand.pads[torch.arange(len(hand.pads)), hand.pad_mask.sum(1) // 2]
     some = torch.cat([hand.sample[pads], torch.arange(0, len(hand.rest), 6)])

@@ -37,7 +37,7 @@ class Part:
     forward: Tensor
 
 
-class GraspScene:
+class SynthesisScene:
     """One object, at rest in its own frame.
 
     Attributes:
@@ -52,7 +52,7 @@ class GraspScene:
     @classmethod
     def of(
         cls, name: str, surface_points: int = 6000, seed: int = 0, cache_dir: str | Path | None = None
-    ) -> GraspScene:
+    ) -> SynthesisScene:
         """The open object of that name."""
         mesh, regions = build_object(name), prop(name).regions
         parts = [part(mesh, r.low, r.high, r.weight, surface_points, seed) for r in regions]

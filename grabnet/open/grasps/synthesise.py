@@ -22,7 +22,7 @@ from grabnet.open.grasps.optimise import OptimiserConfig, optimise
 from grabnet.open.grasps.posing import GraspHand, GraspPose
 from grabnet.open.grasps.posture import PostureConfig
 from grabnet.open.grasps.proposals import KIND_NAMES, ProposalConfig, propose
-from grabnet.open.grasps.scene import GraspScene
+from grabnet.open.grasps.scene import SynthesisScene
 from grabnet.open.grasps.stability import StabilityConfig, cut, holds
 from grabnet.open.grasps.templates import Template, TemplateConfig, build_templates
 from grabnet.open.objects import OBJECTS
@@ -118,14 +118,14 @@ def synthesise(names: Sequence[str], config: SynthesisConfig, seed: int, process
 
 def _object_job(name: str, templates: dict[str, tuple], config: SynthesisConfig, seed: int) -> ObjectGrasps:
     torch.set_num_threads(1)
-    scene = GraspScene.of(name)
+    scene = SynthesisScene.of(name)
     first = sorted(OBJECTS).index(name)
     chosen = [(first + 2 * i + (i >= 5)) % len(SUBJECTS) for i in range(config.subjects_per_object)]
     return grasp_object(scene, {k: Template(*t) for k, t in templates.items()}, chosen, config, seed)
 
 
 def grasp_object(
-    scene: GraspScene, templates: dict[str, Template], subjects: Sequence[int], config: SynthesisConfig, seed: int
+    scene: SynthesisScene, templates: dict[str, Template], subjects: Sequence[int], config: SynthesisConfig, seed: int
 ) -> ObjectGrasps:
     """`config.per_object` grasps of one object, shared evenly between the subjects, half of them above a table.
 
@@ -198,14 +198,14 @@ class _Batch(NamedTuple):
     measures: GraspMeasures
 
 
-def _rigid(scene: GraspScene, config: StabilityConfig) -> RigidBody:
+def _rigid(scene: SynthesisScene, config: StabilityConfig) -> RigidBody:
     points = torch.tensor(scene.mesh.vertices)
     inward = -torch.tensor(scene.mesh.trimesh().vertex_normals.copy(), dtype=torch.float32)
     first_exit = torch.zeros(len(points), dtype=torch.bool)
     return cut(scene.mesh, scene.thickness(points, inward, first_exit, reach=0.012).numpy(), config)
 
 
-def _gather(scene: GraspScene, kept: list[_Batch], counts: Counter, config: SynthesisConfig) -> ObjectGrasps:
+def _gather(scene: SynthesisScene, kept: list[_Batch], counts: Counter, config: SynthesisConfig) -> ObjectGrasps:
     subject, kind, transl = (torch.cat(x) for x in list(zip(*kept, strict=True))[:3])
     measures = GraspMeasures(*(torch.cat(x) for x in zip(*(batch.measures for batch in kept), strict=True)))
     pose = GraspPose(*(torch.cat(x) for x in zip(*(batch.pose for batch in kept), strict=True)))
