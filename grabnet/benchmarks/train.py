@@ -21,8 +21,6 @@ from grabnet.losses.terms import hand_to_object_l1, object_to_hand_l1, vertex_l1
 from grabnet.training.acceleration import compile_blocks, set_matmul_precision
 from grabnet.training.modules import CoarseNetTraining, GraspTraining
 
-# All samples of an object, as the published loss compares them.
-N_PUBLISHED = 2048
 # What may make the full step faster, where the hardware offers it.
 SWITCHES = ("compile=true", "matmul_precision=medium", "trainer.precision=bf16-mixed")
 
@@ -38,9 +36,6 @@ def cases(settings: BenchmarkConfig) -> list[Case]:
             Case(plain, step.plain, (bare,), runs=2),
             Case(full, step.full, (bare, plain)),
         ]
-        if model == "coarsenet":
-            published = Step.make(settings, [*overrides, *settings.train, f"data.near_points={N_PUBLISHED}"])
-            found.append(Case(f"{full}, {N_PUBLISHED} object points", published.full, (bare, plain)))
         for switch in SWITCHES:
             other = Step.make(settings, [*overrides, *settings.train, switch])
             found.append(Case(f"{full}, {switch}", other.full, (full,)))
@@ -101,7 +96,7 @@ class Step:
         self._descend(lambda: _total(self.plain_terms()), self.optimizer)
 
     def plain_terms(self) -> dict[str, Tensor]:
-        """The loss of the step's batch, by cdist: the module's own with `data.distance_to=samples`, all near."""
+        """The loss of the step's batch, by cdist: the module's own with `data.distance_to=samples`."""
         batch, module, network = self.batch, self.module, self.module.network
         placed = batch.objects
         points = self.data.assembler.object_set.points[placed.index] @ placed.rotations.mT

@@ -26,9 +26,8 @@ class GraspBatch:
         rest: (B, V, 3) rest vertices of each frame's subject.
         vertices: (B, V, 3) of the true hand.
         distances: (B, V) of these vertices to the object, as `objects.distances` gives them.
-        points: (B, P, 3) samples of the object's surface, those nearest to the hand.
+        points: (B, P, 3) samples of the object's surface.
         point_distances: (B, P) their signed distances to the hand.
-        point_share: part of all the object's samples that `points` are.
         noisy: hands near the true ones, where the store holds such.
     """
 
@@ -39,7 +38,6 @@ class GraspBatch:
     distances: Tensor
     points: Tensor
     point_distances: Tensor
-    point_share: float
     noisy: HandParameters | None = None
 
     def __len__(self) -> int:
@@ -85,16 +83,13 @@ class BatchAssembler(nn.Module):
             rotations = about @ rotations
             hand = self.hand.moved(hand, about, rest=rest)
             noisy = None if noisy is None else self.hand.moved(noisy, about, rest=rest)
-        samples, near = self.object_set.points, targets.near
-        points = samples[frames.object] if near is None else samples[frames.object.unsqueeze(1), near.long()]
         return GraspBatch(
             objects=self.object_set.place(frames.object, rotations),
             hand=hand,
             rest=rest,
             vertices=self.hand(hand, rest).vertices,
             distances=targets.distances.to(rest.dtype),
-            points=points @ rotations.mT,
-            point_distances=targets.near_distances.to(rest.dtype),
-            point_share=points.shape[1] / samples.shape[1],
+            points=self.object_set.points[frames.object] @ rotations.mT,
+            point_distances=targets.point_distances.to(rest.dtype),
             noisy=noisy,
         )

@@ -21,7 +21,7 @@ from grabnet.data.measuring import compute_targets
 from grabnet.data.objects import OBJECT_MESHES, ObjectSet
 from grabnet.data.sources.base import FrameSource, write_store
 from grabnet.data.splits import SPLITS, Split
-from grabnet.data.targets import MAX_POINTS, Targets
+from grabnet.data.targets import Targets
 from grabnet.errors import UserError
 
 
@@ -35,8 +35,7 @@ class GraspDataModule(L.LightningDataModule):
         objects_dir: folder with one mesh per object, `<name>.ply` (or .obj, .stl, …), in place of the data set's own.
         batch_size: frames per step, of all processes together.
         min_steps: of an epoch: few frames are gone through as often as that takes.
-        object_points: surface samples per object.
-        near_points: of these, how many nearest to the hand enter the object→hand loss (published: all).
+        object_points: surface samples per object, which enter the object→hand loss.
         distance_to: hand→object distances are signed, to the "surface"; or unsigned, to the nearest of the "samples".
         contact_distance: metres within which a hand vertex counts as touching (ref. 4).
         rotate: rotate training frames about the vertical at random.
@@ -58,7 +57,6 @@ class GraspDataModule(L.LightningDataModule):
         batch_size: int = 256,
         min_steps: int = 1,
         object_points: int = 2048,
-        near_points: int = 128,
         distance_to: str = "surface",
         contact_distance: float = 0.0045,
         rotate: bool = True,
@@ -76,7 +74,6 @@ class GraspDataModule(L.LightningDataModule):
         self.batch_size = batch_size
         self.min_steps = min_steps
         self.object_points = object_points
-        self.near_points = near_points
         self.distance_to = distance_to
         self.contact_distance = contact_distance
         self.rotate = rotate
@@ -85,11 +82,7 @@ class GraspDataModule(L.LightningDataModule):
         self.seed = seed
         self.source = source
         # Of one frame there are no batch statistics.
-        at_least(self, "data.", batch_size=2, min_steps=1, object_points=1, near_points=1, max_frames=2)
-        if object_points > MAX_POINTS:
-            raise UserError(f"data.object_points is {object_points}; it must be at most {MAX_POINTS}.")
-        if near_points > object_points:
-            raise UserError(f"data.near_points={near_points} exceeds data.object_points={object_points}.")
+        at_least(self, "data.", batch_size=2, min_steps=1, object_points=1, max_frames=2)
         self.assembler: BatchAssembler | None = None
         self._frames: dict[str, Frames] = {}
         self._targets: dict[str, Targets] = {}
@@ -143,7 +136,7 @@ class GraspDataModule(L.LightningDataModule):
                 has = f"{self.store_dir} has {len(frames) or 'no'} {split} frames, where {least} must be"
                 raise UserError(f"{has}; of its {self.split.by}s ({here}) {remedy}.")
             self._frames[split] = frames
-            self._targets[split] = compute_targets(frames, self.assembler, self.near_points)
+            self._targets[split] = compute_targets(frames, self.assembler)
 
     @property
     def contact(self) -> Tensor:

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from grabnet.errors import UserError
 from grabnet.geometry.atlas import SDFAtlas, SDFGrid
 from grabnet.geometry.mesh import Mesh, load_mesh
+from grabnet.geometry.nearest import GROUP, by_neighbourhood
 from grabnet.geometry.placed import PlacedObjects
 from grabnet.io.files import existing, sha256
 
@@ -37,7 +38,8 @@ class ObjectSet(nn.Module):
     Attributes:
         names, meshes: as given.
         centroids (O, 3): mean of the mesh vertices (ref. 3), object frame.
-        points (O, n_points, 3): surface samples, object frame, relative to the centroid.
+        points (O, n_points, 3): surface samples, object frame, relative to the centroid; each 16 on end are neighbours,
+            as `NearestVertex` likes it.
         atlas: signed distances.
     """
 
@@ -58,6 +60,7 @@ class ObjectSet(nn.Module):
         self.sha256 = sha256(*(mesh.sha256 for mesh in meshes))
         centroids = torch.stack([torch.as_tensor(mesh.centroid, dtype=torch.float32) for mesh in meshes])
         points = [torch.as_tensor(mesh.sample_surface(n_points, seed)[0], dtype=torch.float32) for mesh in meshes]
+        points = [of_one[by_neighbourhood(of_one, GROUP)] for of_one in points]
         self.register_buffer("centroids", centroids, False)
         self.register_buffer("points", torch.stack(points) - centroids.unsqueeze(1), False)
         grids = [

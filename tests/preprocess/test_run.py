@@ -79,7 +79,7 @@ def test_the_likelihood_of_contact_is_that_of_training_frames(made, grab, cache_
     expected = (vertices.norm(dim=-1) < grip()[1] + 0.0045).float().mean(0)
     contact = load_file(made / "frames/contact.safetensors")["contact"]
     assert expected.max() == 1 and (contact != expected).float().mean() < 0.01  # facets lie inside the ball
-    data = GraspDataModule(hand, str(made), **SPLIT, near_points=8, cache_dir=str(cache_dir))
+    data = GraspDataModule(hand, str(made), **SPLIT, object_points=64, cache_dir=str(cache_dir))
     data.setup()
     torch.testing.assert_close(data.contact, contact, atol=1e-6, rtol=0)
 

@@ -23,7 +23,7 @@ WEIGHTS = {"vertex": 1.0, "edge": 1.0, "hand_to_object": 1.0, "kl": 0.0, "root":
 @pytest.fixture(scope="module")
 def data(tiny_dataset, hand, cache_dir) -> GraspDataModule:
     names = {"split": Split("object", ["can", "block"], ["ring"])}
-    data = GraspDataModule(hand, str(tiny_dataset), **names, near_points=16, cache_dir=str(cache_dir))
+    data = GraspDataModule(hand, str(tiny_dataset), **names, object_points=64, cache_dir=str(cache_dir))
     data.setup()
     return data
 

@@ -16,7 +16,7 @@ from grabnet.training.refine_inputs import CoarseNetGuesses, PoseNoise
 @pytest.fixture(scope="module")
 def batch(hand, tiny_dataset, cache_dir):
     data = GraspDataModule(
-        hand, str(tiny_dataset), Split("object", ["can"], ["ring"]), near_points=8, cache_dir=str(cache_dir)
+        hand, str(tiny_dataset), Split("object", ["can"], ["ring"]), object_points=64, cache_dir=str(cache_dir)
     )
     data.setup()
     return data.assemble("train", torch.arange(96))

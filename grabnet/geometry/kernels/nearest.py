@@ -1,7 +1,8 @@
 """Nearest vertex of a deformed mesh, and the side of the surface that a point lies on.
 
-Every vertex is compared, sixteen and more at once on a CPU: for a hand's 778 that is several times faster than any tree
-or bound that would spare some of them.
+Sixteen queries are compared at once with one vertex after the other, the form that a CPU's vector units take. Vertices
+lie in blocks of neighbours: a block that is farther from each of the sixteen than the vertex found for it is left out.
+With queries in an order in which neighbours follow each other, that spares two thirds of the blocks.
 """
 
 import warp as wp
@@ -10,6 +11,9 @@ import grabnet.geometry.kernels.launch  # noqa: F401  (starts warp)
 
 wp.set_module_options({"enable_backward": False})
 
+# Queries compared at once; also in the native code below.
+GROUP = wp.constant(16)
+
 
 @wp.struct
 class Topology:
@@ -17,31 +21,99 @@ class Topology:
 
     opposite: wp.array(dtype=wp.vec2i)  # the two other corners of each face at each vertex, vertex after vertex
     start: wp.array(dtype=int)  # of each vertex therein, and the end
+    order: wp.array(dtype=int)  # vertices, block after block
 
 
-# Distance and number in one integer, of which the smallest is sought: squares are not negative, and the bits of such
-# floats are in the order of their values.
+# It starts at the block whose centre is nearest to one of the queries: what it finds there rules out most others.
 _NEAREST = """
+    const int blocks = box.shape[1];
+    const int size = x.shape[0] / blocks;
     const float *xs = x.data, *ys = y.data, *zs = z.data;
-    const float px = p[0], py = p[1], pz = p[2];
-    long long best = 0x7fffffffffffffffLL;
-    #if defined(__clang__)
-    #pragma clang loop vectorize(assume_safety) vectorize_width(8) interleave_count(4)
-    #endif
-    for (int k = 0; k < x.shape[0]; ++k) {
-        const float dx = xs[k] - px, dy = ys[k] - py, dz = zs[k] - pz;
-        const float square = dx * dx + dy * dy + dz * dz;
-        unsigned int bits;
-        memcpy(&bits, &square, 4);
-        best = wp::min(best, ((long long)bits << 32) | k);
+    const float *low_x = box.data, *low_y = low_x + blocks, *low_z = low_y + blocks;
+    const float *high_x = low_z + blocks, *high_y = high_x + blocks, *high_z = high_y + blocks;
+    const int count = wp::min(queries.shape[0] - start, 16);
+
+    float px[16], py[16], pz[16], least[16];
+    int place[16];
+    for (int l = 0; l < 16; ++l) {
+        const wp::vec3 p = queries.data[start + wp::min(l, count - 1)];
+        px[l] = p[0];
+        py[l] = p[1];
+        pz[l] = p[2];
+        least[l] = INFINITY;
+        place[l] = 0;
     }
-    return (int)best;
+
+    int first = 0;
+    float closest = INFINITY;
+    for (int b = 0; b < blocks; ++b) {
+        const float dx = 0.5f * (low_x[b] + high_x[b]) - px[0];
+        const float dy = 0.5f * (low_y[b] + high_y[b]) - py[0];
+        const float dz = 0.5f * (low_z[b] + high_z[b]) - pz[0];
+        const float square = dx * dx + dy * dy + dz * dz;
+        first = square < closest ? b : first;
+        closest = square < closest ? square : closest;
+    }
+
+    for (int k = 0; k < blocks; ++k) {
+        const int b = first + k < blocks ? first + k : first + k - blocks;
+        int closer = 0;
+        for (int l = 0; l < 16; ++l) {
+            const float dx = wp::max(wp::max(low_x[b] - px[l], px[l] - high_x[b]), 0.0f);
+            const float dy = wp::max(wp::max(low_y[b] - py[l], py[l] - high_y[b]), 0.0f);
+            const float dz = wp::max(wp::max(low_z[b] - pz[l], pz[l] - high_z[b]), 0.0f);
+            closer |= dx * dx + dy * dy + dz * dz < least[l];
+        }
+        if (!closer) continue;
+        for (int i = b * size; i < (b + 1) * size; ++i) {
+            for (int l = 0; l < 16; ++l) {
+                const float dx = xs[i] - px[l], dy = ys[i] - py[l], dz = zs[i] - pz[l];
+                const float square = dx * dx + dy * dy + dz * dz;
+                place[l] = square < least[l] ? i : place[l];
+                least[l] = square < least[l] ? square : least[l];
+            }
+        }
+    }
+    for (int l = 0; l < count; ++l) places.data[start + l] = place[l];
 """
 
 
 @wp.func_native(_NEAREST)
-def nearest(x: wp.array(dtype=float), y: wp.array(dtype=float), z: wp.array(dtype=float), p: wp.vec3) -> int:
-    """Number of the point (x, y, z) nearest to p; of equal ones the first."""
+def nearest(
+    x: wp.array(dtype=float),
+    y: wp.array(dtype=float),
+    z: wp.array(dtype=float),
+    box: wp.array2d(dtype=float),
+    queries: wp.array(dtype=wp.vec3),
+    start: int,
+    places: wp.array(dtype=int),
+):
+    """Write the places among the points (x, y, z) of those nearest to `GROUP` queries from `start` on.
+
+    `box` (6, blocks) has the lowest and the highest corner around each block of points.
+    """
+    ...
+
+
+@wp.kernel
+def vertex_normals(
+    lanes: int, topology: Topology, vertices: wp.array2d(dtype=wp.vec3), normals: wp.array2d(dtype=wp.vec3)
+):
+    """Sum of the normals of the faces at each vertex, weighted by area; of any length."""
+    row, lane = wp.tid()
+    for v in range(lane, vertices.shape[1], lanes):
+        vertex = vertices[row, v]
+        normal = wp.vec3(0.0)
+        for k in range(topology.start[v], topology.start[v + 1]):
+            others = topology.opposite[k]
+            normal += wp.cross(vertices[row, others[0]] - vertex, vertices[row, others[1]] - vertex)
+        normals[row, v] = normal
+
+
+@wp.func
+def softened_length(offset: wp.vec3) -> float:
+    """Its gradient is finite at 0, too."""
+    return wp.sqrt(wp.dot(offset, offset) + 1.0e-12)
 
 
 @wp.kernel
@@ -49,27 +121,44 @@ def nearest_vertex(
     lanes: int,
     topology: Topology,
     vertices: wp.array2d(dtype=wp.vec3),
+    normals: wp.array2d(dtype=wp.vec3),
     coordinates: wp.array3d(dtype=float),
+    boxes: wp.array3d(dtype=float),
     queries: wp.array2d(dtype=wp.vec3),
     index: wp.array2d(dtype=int),
-    behind: wp.array2d(dtype=wp.bool),
+    distance: wp.array2d(dtype=float),
 ):
-    """Index of the vertex nearest to each query, and whether the query lies behind the surface there.
+    """Index of the vertex nearest to each query, and its distance, negative where the query lies behind the surface.
 
-    `coordinates` are those of the vertices, (B, 3, V).
+    `coordinates` are those of the vertices, block after block, (B, 3, blocks × size); `boxes` (B, 6, blocks).
     """
     row, lane = wp.tid()
-    x = coordinates[row, 0]
-    y = coordinates[row, 1]
-    z = coordinates[row, 2]
-    for q in range(lane, queries.shape[1], lanes):
-        p = queries[row, q]
-        best = nearest(x, y, z, p)
-        index[row, q] = best
+    for start in range(GROUP * lane, queries.shape[1], GROUP * lanes):
+        nearest(
+            coordinates[row, 0], coordinates[row, 1], coordinates[row, 2], boxes[row], queries[row], start, index[row]
+        )
+        for q in range(start, wp.min(start + GROUP, queries.shape[1])):
+            vertex = topology.order[index[row, q]]
+            index[row, q] = vertex
+            offset = queries[row, q] - vertices[row, vertex]
+            distance[row, q] = wp.where(
+                wp.dot(offset, normals[row, vertex]) < 0.0, -softened_length(offset), softened_length(offset)
+            )
 
-        vertex = vertices[row, best]
-        normal = wp.vec3(0.0)
-        for k in range(topology.start[best], topology.start[best + 1]):
-            others = topology.opposite[k]
-            normal += wp.cross(vertices[row, others[0]] - vertex, vertices[row, others[1]] - vertex)
-        behind[row, q] = wp.dot(p - vertex, normal) < 0.0
+
+@wp.kernel
+def distance_gradient(
+    lanes: int,
+    vertices: wp.array2d(dtype=wp.vec3),
+    queries: wp.array2d(dtype=wp.vec3),
+    index: wp.array2d(dtype=int),
+    distance: wp.array2d(dtype=float),
+    gradient: wp.array2d(dtype=float),
+    vertex_gradient: wp.array2d(dtype=wp.vec3),
+):
+    """Add up at the vertices what a gradient by the distances of `nearest_vertex` is by them."""
+    row, lane = wp.tid()
+    for q in range(lane, queries.shape[1], lanes):
+        vertex = index[row, q]
+        offset = queries[row, q] - vertices[row, vertex]
+        wp.atomic_sub(vertex_gradient, row, vertex, offset * (gradient[row, q] / distance[row, q]))

@@ -130,7 +130,7 @@ def test_noisy_hands_are_what_refinenet_starts_from(tmp_path, meshes, cache_dir)
     shown = write_release(tmp_path / "release", meshes)
     store, hand = convert(tmp_path / "release", tmp_path / "root", meshes), HandModel.open()
     split = {"split": Split("object", ["ring"], ["block"]), "objects_dir": str(meshes)}
-    data = GraspDataModule(hand, str(tmp_path / "root"), **split, near_points=8, cache_dir=str(cache_dir))
+    data = GraspDataModule(hand, str(tmp_path / "root"), **split, object_points=64, cache_dir=str(cache_dir))
     data.setup()
     index = torch.arange(3)
     still, turned = (data.assemble("train", index, turn) for turn in (False, True))
@@ -158,7 +158,7 @@ def test_noisy_hands_may_be_left_out(tmp_path, meshes, cache_dir):
     store = convert(tmp_path / "release", tmp_path / "root", meshes, noisy=False)
     assert store.frames.noisy is None
     data = GraspDataModule(
-        HandModel.open(), str(tmp_path / "root"), Split("object", ["ring"], ["block"]), str(meshes), near_points=8,
+        HandModel.open(), str(tmp_path / "root"), Split("object", ["ring"], ["block"]), str(meshes), object_points=64,
         cache_dir=str(cache_dir),
     )  # fmt: skip
     data.setup()
