@@ -15,7 +15,6 @@ from grabnet.benchmarks.timing import Case
 from grabnet.body.anatomy import vertex_normals
 from grabnet.cli.entry import compose
 from grabnet.data.datamodule import GraspDataModule
-from grabnet.geometry.nearest import nearest_point, nearest_point_distance
 from grabnet.geometry.rotations import matrix_to_six_d
 from grabnet.losses.terms import hand_to_object_l1, object_to_hand_l1, vertex_l1
 from grabnet.training.acceleration import compile_blocks, set_matmul_precision
@@ -103,15 +102,15 @@ class Step:
         if isinstance(module, CoarseNetTraining):
             hand, posterior = network(self.features, batch.hand.global_orient, batch.hand.transl)
         else:
-            hand = network(module.source(batch), lambda v: nearest_point_distance(v, points), batch.rest)
+            hand = network(module.source(batch), lambda v: _nearest_distance(v, points), batch.rest)
         vertices = module.hand(hand, batch.rest).vertices
         loss = module.loss
         error = {
             "vertex": vertex_l1(vertices, batch.vertices, loss.vertex_weight),
             "edge": _along(self.edges, vertices - batch.vertices).abs().mean(),
             "hand_to_object": hand_to_object_l1(
-                nearest_point_distance(vertices, points),
-                nearest_point_distance(batch.vertices, points),
+                _nearest_distance(vertices, points),
+                _nearest_distance(batch.vertices, points),
                 loss.distance_weight,
             ),
         }
@@ -164,8 +163,19 @@ def _along(edges: Tensor, of: Tensor) -> Tensor:
     return of[:, edges[:, 1]] - of[:, edges[:, 0]]
 
 
+@torch.no_grad()
+def _nearest(queries: Tensor, points: Tensor, chunk: int = 32) -> Tensor:
+    """Index of the nearest of points (B, N, 3), repeated for its coordinates (B, Q, 3); of `chunk` rows at a time."""
+    pieces = zip(queries.split(chunk), points.split(chunk), strict=True)
+    return torch.cat([torch.cdist(q, p).argmin(-1) for q, p in pieces]).unsqueeze(-1).expand(-1, -1, 3)
+
+
+def _nearest_distance(queries: Tensor, points: Tensor) -> Tensor:
+    return (queries - points.gather(1, _nearest(queries, points))).norm(dim=-1)
+
+
 def _signed_distance(queries: Tensor, vertices: Tensor, faces: Tensor) -> Tensor:
-    index = nearest_point(queries, vertices).unsqueeze(-1).expand(-1, -1, 3)
+    index = _nearest(queries, vertices)
     offset = queries - vertices.gather(1, index)
     behind = (offset.detach() * vertex_normals(vertices.detach(), faces).gather(1, index)).sum(-1) < 0
     return torch.where(behind, -1.0, 1.0) * offset.norm(dim=-1)

@@ -9,9 +9,9 @@ from torch import Tensor, nn
 from grabnet.geometry.kernels import nearest as kernels
 from grabnet.geometry.kernels.launch import launch
 
-# Queries that are compared at once: fast where they are neighbours.
+# Queries that are compared at once.
 GROUP = kernels.GROUP
-# Vertices that are compared or left out together.
+# Points that are compared or left out together.
 _BLOCK = 32
 
 
@@ -20,20 +20,18 @@ class NearestVertex(nn.Module):
 
     Args:
         faces: (F, 3) int, oriented outwards.
-        rest: (V, 3) the mesh in any pose: neighbours in it are searched together.
+        rest: (V, 3) the mesh in any pose: what are neighbours in it is searched together.
     """
 
     def __init__(self, faces: Tensor, rest: Tensor):
         super().__init__()
         n_vertices = len(rest)
-        order = by_neighbourhood(rest, _BLOCK)
         corners = faces.flatten().argsort(stable=True)
         opposite = torch.stack([faces.roll(-1, 1), faces.roll(-2, 1)], -1).flatten(0, 1)[corners]
         counts = torch.bincount(faces.flatten(), minlength=n_vertices)
         self.register_buffer("opposite", opposite.int().contiguous(), False)
         self.register_buffer("start", torch.cat([counts.new_zeros(1), counts.cumsum(0)]).int(), False)
-        # The last one fills the last block.
-        self.register_buffer("order", torch.cat([order, order[-1:].expand(-n_vertices % _BLOCK)]).int(), False)
+        self.register_buffer("order", by_neighbourhood(rest, _BLOCK).int(), False)
 
     @torch.no_grad()
     def forward(self, queries: Tensor, vertices: Tensor) -> tuple[Tensor, Tensor]:
@@ -44,14 +42,11 @@ class NearestVertex(nn.Module):
             against the vertex's normal, the sum of its faces' normals weighted by area.
         """
         queries, vertices = queries.float().contiguous(), vertices.float().contiguous()
-        index = torch.empty(queries.shape[:2], dtype=torch.int32, device=queries.device)
-        distance = torch.empty_like(queries[..., 0])
         normals, topology = torch.empty_like(vertices), self._topology()
         launch(kernels.vertex_normals, [vertices, normals], [topology], width=vertices.shape[1])
-        coordinates = vertices[:, self.order].mT.contiguous()
-        low, high = coordinates.unflatten(2, (-1, _BLOCK)).aminmax(dim=-1)
-        items = [vertices, normals, coordinates, torch.cat([low, high], 1), queries, index, distance]
-        launch(kernels.nearest_vertex, items, [topology], width=queries.shape[1])
+        index, distance = nearest_point(queries, vertices[:, self.order]), torch.empty_like(queries[..., 0])
+        items = [vertices, normals, queries, index, distance]
+        launch(kernels.signed_distances, items, [topology], width=queries.shape[1])
         return index, distance
 
     def signed_offset(self, queries: Tensor, vertices: Tensor) -> Tensor:
@@ -102,17 +97,22 @@ def by_neighbourhood(points: Tensor, size: int) -> Tensor:
 
 
 @torch.no_grad()
-def nearest_point(queries: Tensor, points: Tensor, chunk: int = 32) -> Tensor:
-    """Index (B, Q) of the nearest of points (B, N, 3) to each of queries (B, Q, 3), by brute force.
+def nearest_point(queries: Tensor, points: Tensor) -> Tensor:
+    """Index (B, Q) int32 of the nearest of points (B, N, 3) to each of queries (B, Q, 3); exact.
 
-    Args:
-        chunk: batch elements whose Q x N distances are held at a time.
+    Fastest where both are in the order `by_neighbourhood`.
     """
-    pieces = zip(queries.split(chunk), points.split(chunk), strict=True)
-    return torch.cat([torch.cdist(q, p).argmin(-1) for q, p in pieces])
+    queries, points = queries.float().contiguous(), points.float()
+    filling = points[:, -1:].expand(-1, -points.shape[1] % _BLOCK, -1)
+    coordinates = torch.cat([points, filling], 1).mT.contiguous()
+    low, high = coordinates.unflatten(2, (-1, _BLOCK)).aminmax(dim=-1)
+    index = torch.empty(queries.shape[:2], dtype=torch.int32, device=queries.device)
+    items = [coordinates, torch.cat([low, high], 1), queries, index]
+    launch(kernels.nearest_points, items, [], width=queries.shape[1])
+    return index.clamp_(max=points.shape[1] - 1)
 
 
 def nearest_point_distance(queries: Tensor, points: Tensor) -> Tensor:
-    """Distance (B, Q) of queries (B, Q, 3) to the nearest of points (B, N, 3), by brute force; differentiable."""
-    index = nearest_point(queries, points).unsqueeze(-1).expand(-1, -1, 3)
+    """Distance (B, Q) of queries (B, Q, 3) to the nearest of points (B, N, 3); differentiable in both."""
+    index = nearest_point(queries, points).long().unsqueeze(-1).expand(-1, -1, 3)
     return (queries - points.gather(1, index)).norm(dim=-1)

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from grabnet.body.anatomy import vertex_normals
 from grabnet.body.hand import HandParameters
-from grabnet.geometry.nearest import NearestVertex, by_neighbourhood
+from grabnet.geometry.nearest import NearestVertex, by_neighbourhood, nearest_point_distance
 from grabnet.geometry.rotations import axis_angle_to_matrix
 
 
@@ -47,10 +47,11 @@ def test_any_number_of_vertices_and_queries(seed, n, q):
     faces = torch.randint(n, (2 * n, 3), generator=generator)
     queries = torch.randn(2, q, 3, generator=generator)
     index, _ = NearestVertex(faces, points[0])(queries, points)
+    distance = nearest_point_distance(queries, points)
     for k in range(2):
         expected, _ = cKDTree(points[k].numpy()).query(queries[k].numpy())
-        found = (queries[k] - points[k][index[k]]).norm(dim=-1).double()
-        torch.testing.assert_close(found, torch.as_tensor(expected).double(), atol=1e-6, rtol=1e-5)
+        for found in ((queries[k] - points[k][index[k]]).norm(dim=-1), distance[k]):
+            torch.testing.assert_close(found.double(), torch.as_tensor(expected).double(), atol=1e-6, rtol=1e-5)
 
 
 def test_sign_and_size_on_a_sphere():

@@ -1,8 +1,8 @@
-"""Nearest vertex of a deformed mesh, and the side of the surface that a point lies on.
+"""Nearest points of a cloud, such as the vertices of a posed hand, and the side of the surface that a query lies on.
 
-Sixteen queries are compared at once with one vertex after the other, the form that a CPU's vector units take. Vertices
-lie in blocks of neighbours: a block that is farther from each of the sixteen than the vertex found for it is left out.
-With queries in an order in which neighbours follow each other, that spares two thirds of the blocks.
+Sixteen queries are compared at once with one point after the other, the form that a CPU's vector units take. Points lie
+in blocks: a block that is farther from each of the sixteen than the point found for it is left out. Where neighbours
+follow each other, among the queries and among the points, that spares two thirds of the blocks.
 """
 
 import warp as wp
@@ -21,7 +21,7 @@ class Topology:
 
     opposite: wp.array(dtype=wp.vec2i)  # the two other corners of each face at each vertex, vertex after vertex
     start: wp.array(dtype=int)  # of each vertex therein, and the end
-    order: wp.array(dtype=int)  # vertices, block after block
+    order: wp.array(dtype=int)  # vertices, in the order in which they are searched
 
 
 # It starts at the block whose centre is nearest to one of the queries: what it finds there rules out most others.
@@ -74,7 +74,7 @@ _NEAREST = """
             }
         }
     }
-    for (int l = 0; l < count; ++l) places.data[start + l] = place[l];
+    for (int l = 0; l < count; ++l) index.data[start + l] = place[l];
 """
 
 
@@ -86,13 +86,30 @@ def nearest(
     box: wp.array2d(dtype=float),
     queries: wp.array(dtype=wp.vec3),
     start: int,
-    places: wp.array(dtype=int),
+    index: wp.array(dtype=int),
 ):
-    """Write the places among the points (x, y, z) of those nearest to `GROUP` queries from `start` on.
+    """Write the indices of the points (x, y, z) nearest to `GROUP` queries from `start` on.
 
     `box` (6, blocks) has the lowest and the highest corner around each block of points.
     """
     ...
+
+
+@wp.kernel
+def nearest_points(
+    lanes: int,
+    coordinates: wp.array3d(dtype=float),
+    boxes: wp.array3d(dtype=float),
+    queries: wp.array2d(dtype=wp.vec3),
+    index: wp.array2d(dtype=int),
+):
+    """Index of the point nearest to each query. `coordinates` (B, 3, blocks × size); `boxes` (B, 6, blocks)."""
+    row, lane = wp.tid()
+    x = coordinates[row, 0]
+    y = coordinates[row, 1]
+    z = coordinates[row, 2]
+    for start in range(GROUP * lane, queries.shape[1], GROUP * lanes):
+        nearest(x, y, z, boxes[row], queries[row], start, index[row])
 
 
 @wp.kernel
@@ -110,40 +127,27 @@ def vertex_normals(
         normals[row, v] = normal
 
 
-@wp.func
-def softened_length(offset: wp.vec3) -> float:
-    """Its gradient is finite at 0, too."""
-    return wp.sqrt(wp.dot(offset, offset) + 1.0e-12)
-
-
 @wp.kernel
-def nearest_vertex(
+def signed_distances(
     lanes: int,
     topology: Topology,
     vertices: wp.array2d(dtype=wp.vec3),
     normals: wp.array2d(dtype=wp.vec3),
-    coordinates: wp.array3d(dtype=float),
-    boxes: wp.array3d(dtype=float),
     queries: wp.array2d(dtype=wp.vec3),
     index: wp.array2d(dtype=int),
     distance: wp.array2d(dtype=float),
 ):
-    """Index of the vertex nearest to each query, and its distance, negative where the query lies behind the surface.
+    """Distance to the nearest vertex, negative where the query lies behind the surface there.
 
-    `coordinates` are those of the vertices, block after block, (B, 3, blocks × size); `boxes` (B, 6, blocks).
+    `index` of that vertex: before, its place in `topology.order`; afterwards its number.
     """
     row, lane = wp.tid()
-    for start in range(GROUP * lane, queries.shape[1], GROUP * lanes):
-        nearest(
-            coordinates[row, 0], coordinates[row, 1], coordinates[row, 2], boxes[row], queries[row], start, index[row]
-        )
-        for q in range(start, wp.min(start + GROUP, queries.shape[1])):
-            vertex = topology.order[index[row, q]]
-            index[row, q] = vertex
-            offset = queries[row, q] - vertices[row, vertex]
-            distance[row, q] = wp.where(
-                wp.dot(offset, normals[row, vertex]) < 0.0, -softened_length(offset), softened_length(offset)
-            )
+    for q in range(lane, queries.shape[1], lanes):
+        vertex = topology.order[index[row, q]]
+        index[row, q] = vertex
+        offset = queries[row, q] - vertices[row, vertex]
+        length = wp.sqrt(wp.dot(offset, offset) + 1.0e-12)  # a gradient at distance 0, too
+        distance[row, q] = wp.where(wp.dot(offset, normals[row, vertex]) < 0.0, -length, length)
 
 
 @wp.kernel
@@ -156,7 +160,7 @@ def distance_gradient(
     gradient: wp.array2d(dtype=float),
     vertex_gradient: wp.array2d(dtype=wp.vec3),
 ):
-    """Add up at the vertices what a gradient by the distances of `nearest_vertex` is by them."""
+    """Turn a gradient by `signed_distances` into one by the vertices."""
     row, lane = wp.tid()
     for q in range(lane, queries.shape[1], lanes):
         vertex = index[row, q]
