@@ -84,7 +84,7 @@ class Step:
     def full(self) -> None:
         """Batch assembly, basis points, network, hands, all losses, Adam."""
         batch = self.data.assemble("train", self.index, turn=True)
-        self._descend(lambda: _total(self.module.reconstruct(batch)[1]), self.optimizer)
+        self._descend(lambda: _total(self.module.reconstruct(self.module.prepared(batch))[1]), self.optimizer)
 
     def bare(self) -> None:
         """The network's layers, forward and backward, and Adam."""
@@ -102,7 +102,7 @@ class Step:
         if isinstance(module, CoarseNetTraining):
             hand, posterior = network(self.features, batch.hand.global_orient, batch.hand.transl)
         else:
-            hand = network(module.source(batch), lambda v: _nearest_distance(v, points), batch.rest)
+            hand = network(module.prepared(batch).noisy, lambda v: _nearest_distance(v, points), batch.rest)
         vertices = module.hand(hand, batch.rest).vertices
         loss = module.loss
         error = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -27,8 +27,8 @@ class GraspBatch:
         vertices: (B, V, 3) of the true hand.
         distances: (B, V) of these vertices to the object, as `objects.distances` gives them.
         points: (B, P, 3) samples of the object's surface.
-        point_distances: (B, P) their signed distances to the hand.
-        noisy: hands near the true ones, where the store holds such.
+        point_distances: (B, P) their signed distances to the hand; None for hands that they were not measured for.
+        noisy: hands near the true ones, which RefineNet starts from; None without such.
     """
 
     objects: PlacedObjects
@@ -37,11 +37,24 @@ class GraspBatch:
     vertices: Tensor
     distances: Tensor
     points: Tensor
-    point_distances: Tensor
+    point_distances: Tensor | None
     noisy: HandParameters | None = None
 
     def __len__(self) -> int:
         return len(self.objects)
+
+    @full_precision
+    def with_hands(self, model: HandModel, hand: HandParameters, rest: Tensor) -> GraspBatch:
+        """The same objects with other true hands.
+
+        Args:
+            model: the hand model.
+            hand: parameters of B hands.
+            rest: (B, V, 3) their rest vertices.
+        """
+        vertices = model(hand, rest).vertices
+        distances = self.objects.distances(vertices)
+        return replace(self, hand=hand, rest=rest, vertices=vertices, distances=distances, point_distances=None)
 
 
 class BatchAssembler(nn.Module):

@@ -129,7 +129,7 @@ def test_the_plain_losses_are_those_of_training(model, tiny_dataset, cache_dir, 
     overrides = tiny_overrides(tiny_dataset, tmp_path, cache_dir, model, *published)
     step = Step.make(BenchmarkConfig(**SETTINGS), overrides)
     torch.manual_seed(0)
-    _, terms = step.module.reconstruct(step.batch)
+    _, terms = step.module.reconstruct(step.module.prepared(step.batch))
     torch.manual_seed(0)
     plain = step.plain_terms()
     assert plain.keys() == terms.keys()

@@ -42,7 +42,7 @@ ROOT = Path(__file__).parents[2]
         ("test=maybe", "test='maybe' is of the wrong type: it must be true or false."),
         ("model.loss=3", "model.loss=3 is of the wrong type: it must be a config with a _target_."),
         ("loss=refinenet", "model.loss makes a RefineNetLoss; a CoarseNetLoss belongs there."),
-        ("source=noise", "model has no value source; it takes hand, "),
+        ("source=recorded_perturbed", "model has no value source; it takes hand, "),
         ("model=3", "model=3 names no file of the group model; it can be coarsenet, grabnet, refinenet."),
         ("logger=null", "logger=null names no file of the group logger; it can be csv, wandb."),
         ("callbacks=null", "callbacks=null names no file of the group callbacks; it can be default, pruning."),
@@ -90,8 +90,12 @@ def test_groups_within_the_model_are_chosen_by_their_plain_names():
     targets = {
         ("train", "scheduler=cosine"): ("model.scheduler", "CosineAnnealingLR"),
         ("train", "loss=coarsenet"): ("model.loss", "CoarseNetLoss"),
-        ("train", "model=refinenet"): ("model.source", "PoseNoise"),
+        ("train", "model=refinenet"): ("model.source", "RecordedPerturbed"),
         ("train", "model=refinenet source=published"): ("model.source", "StoredNoise"),
+        ("train", "model=refinenet source=samples_perturbed model.source.coarsenet=a"): (
+            "model.source",
+            "SamplesPerturbed",
+        ),
         ("train", "experiment=demo_refinenet"): ("model.source", "CoarseNetGuesses"),
         ("train", "model=grabnet"): ("model.coarse_loss", "CoarseNetLoss"),
         ("evaluate", "source=published"): ("source", "StoredNoise"),

@@ -220,7 +220,7 @@ def test_reconstruction_is_what_a_training_run_reports(folder, runs, tiny_datase
         trainer = L.Trainer(logger=False, enable_progress_bar=False, accelerator="cpu", default_root_dir=tmp_path)
         trainer.test(module, datamodule=data, verbose=False)
         for split in ("train", "val", "test"):
-            for name in ("v2v", "v2v_mae"):
+            for name in ("v2v", "v2v_mae", "published_v2v", "published_v2v_mae"):
                 tested = float(trainer.callback_metrics[f"test/{split}/{name}"])
                 assert errors[kind, split, "all"][name] == pytest.approx(tested, rel=1e-5)
         frames = [e["n"] for (k, _, name), e in errors.items() if k == kind and name == "all"]

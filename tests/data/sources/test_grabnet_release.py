@@ -134,13 +134,13 @@ def test_noisy_hands_are_what_refinenet_starts_from(tmp_path, meshes, cache_dir)
     data.setup()
     index = torch.arange(3)
     still, turned = (data.assemble("train", index, turn) for turn in (False, True))
-    start = hand(StoredNoise()(still), still.rest).vertices
+    start = hand(StoredNoise()(still, hand).noisy, still.rest).vertices
     frames = data.frames("train")
     for k in range(3):
         _, noisy, _, _ = shown[store.sequences[frames.sequence[k]], frames.frame[k].item()]
         np.testing.assert_allclose(start[k], noisy, atol=8e-5)
     # Turned with all else.
-    moved = hand(StoredNoise()(turned), turned.rest).vertices
+    moved = hand(StoredNoise()(turned, hand).noisy, turned.rest).vertices
     torch.testing.assert_close(
         (moved - turned.vertices).norm(dim=-1), (start - still.vertices).norm(dim=-1), atol=1e-4, rtol=0
     )
@@ -163,7 +163,7 @@ def test_noisy_hands_may_be_left_out(tmp_path, meshes, cache_dir):
     )  # fmt: skip
     data.setup()
     with pytest.raises(UserError, match="holds no noisy hands"):
-        StoredNoise()(data.assemble("train", torch.arange(2)))
+        StoredNoise()(data.assemble("train", torch.arange(2)), data.hand)
 
 
 def test_another_hand_is_told(tmp_path, meshes):
