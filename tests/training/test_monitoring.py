@@ -17,7 +17,8 @@ from grabnet.training.monitoring import GraspMonitor
 from grabnet.training.refine_inputs import RecordedPerturbed
 from grabnet.visual.pictures import can_render
 
-WEIGHTS = {"vertex": 1.0, "edge": 1.0, "hand_to_object": 1.0, "kl": 0.0, "root": 2.5, "contact_weights": "learned"}
+WEIGHTS = {"vertex": 1.0, "edge": 1.0, "hand_to_object": 1.0, "scale": 1.0}
+WEIGHTS |= {"weight_exponent": 0.4, "contact_weights": "learned"}
 
 
 @pytest.fixture(scope="module")
