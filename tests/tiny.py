@@ -23,7 +23,7 @@ def tiny_overrides(
         "data.split.val=[can]",
         "data.split.test=[ring]",
         "data.batch_size=32",
-        "data.near_points=32",
+        "data.object_points=64",
         *([f"run_dir={run_dir}"] if run_dir else []),
         "model.width=32",
         "model.n_hidden=16",

@@ -15,14 +15,11 @@ from grabnet.benchmarks.timing import Case
 from grabnet.body.anatomy import vertex_normals
 from grabnet.cli.entry import compose
 from grabnet.data.datamodule import GraspDataModule
-from grabnet.geometry.nearest import nearest_point, nearest_point_distance
 from grabnet.geometry.rotations import matrix_to_six_d
 from grabnet.losses.terms import hand_to_object_l1, object_to_hand_l1, vertex_l1
 from grabnet.training.acceleration import compile_blocks, set_matmul_precision
 from grabnet.training.modules import CoarseNetTraining, GraspTraining
 
-# All samples of an object, as the published loss compares them.
-N_PUBLISHED = 2048
 # What may make the full step faster, where the hardware offers it.
 SWITCHES = ("compile=true", "matmul_precision=medium", "trainer.precision=bf16-mixed")
 
@@ -38,9 +35,6 @@ def cases(settings: BenchmarkConfig) -> list[Case]:
             Case(plain, step.plain, (bare,), runs=2),
             Case(full, step.full, (bare, plain)),
         ]
-        if model == "coarsenet":
-            published = Step.make(settings, [*overrides, *settings.train, f"data.near_points={N_PUBLISHED}"])
-            found.append(Case(f"{full}, {N_PUBLISHED} object points", published.full, (bare, plain)))
         for switch in SWITCHES:
             other = Step.make(settings, [*overrides, *settings.train, switch])
             found.append(Case(f"{full}, {switch}", other.full, (full,)))
@@ -90,7 +84,7 @@ class Step:
     def full(self) -> None:
         """Batch assembly, basis points, network, hands, all losses, Adam."""
         batch = self.data.assemble("train", self.index, turn=True)
-        self._descend(lambda: _total(self.module.reconstruct(batch)[1]), self.optimizer)
+        self._descend(lambda: _total(self.module.reconstruct(self.module.prepared(batch))[1]), self.optimizer)
 
     def bare(self) -> None:
         """The network's layers, forward and backward, and Adam."""
@@ -101,22 +95,22 @@ class Step:
         self._descend(lambda: _total(self.plain_terms()), self.optimizer)
 
     def plain_terms(self) -> dict[str, Tensor]:
-        """The loss of the step's batch, by cdist: the module's own with `data.distance_to=samples`, all near."""
+        """The loss of the step's batch, by cdist: the module's own with `data.distance_to=samples`."""
         batch, module, network = self.batch, self.module, self.module.network
         placed = batch.objects
         points = self.data.assembler.object_set.points[placed.index] @ placed.rotations.mT
         if isinstance(module, CoarseNetTraining):
             hand, posterior = network(self.features, batch.hand.global_orient, batch.hand.transl)
         else:
-            hand = network(module.source(batch), lambda v: nearest_point_distance(v, points), batch.rest)
+            hand = network(module.prepared(batch).noisy, lambda v: _nearest_distance(v, points), batch.rest)
         vertices = module.hand(hand, batch.rest).vertices
         loss = module.loss
         error = {
             "vertex": vertex_l1(vertices, batch.vertices, loss.vertex_weight),
             "edge": _along(self.edges, vertices - batch.vertices).abs().mean(),
             "hand_to_object": hand_to_object_l1(
-                nearest_point_distance(vertices, points),
-                nearest_point_distance(batch.vertices, points),
+                _nearest_distance(vertices, points),
+                _nearest_distance(batch.vertices, points),
                 loss.distance_weight,
             ),
         }
@@ -169,8 +163,19 @@ def _along(edges: Tensor, of: Tensor) -> Tensor:
     return of[:, edges[:, 1]] - of[:, edges[:, 0]]
 
 
+@torch.no_grad()
+def _nearest(queries: Tensor, points: Tensor, chunk: int = 32) -> Tensor:
+    """Index of the nearest of points (B, N, 3), repeated for its coordinates (B, Q, 3); of `chunk` rows at a time."""
+    pieces = zip(queries.split(chunk), points.split(chunk), strict=True)
+    return torch.cat([torch.cdist(q, p).argmin(-1) for q, p in pieces]).unsqueeze(-1).expand(-1, -1, 3)
+
+
+def _nearest_distance(queries: Tensor, points: Tensor) -> Tensor:
+    return (queries - points.gather(1, _nearest(queries, points))).norm(dim=-1)
+
+
 def _signed_distance(queries: Tensor, vertices: Tensor, faces: Tensor) -> Tensor:
-    index = nearest_point(queries, vertices).unsqueeze(-1).expand(-1, -1, 3)
+    index = _nearest(queries, vertices)
     offset = queries - vertices.gather(1, index)
     behind = (offset.detach() * vertex_normals(vertices.detach(), faces).gather(1, index)).sum(-1) < 0
     return torch.where(behind, -1.0, 1.0) * offset.norm(dim=-1)

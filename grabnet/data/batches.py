@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -26,10 +26,9 @@ class GraspBatch:
         rest: (B, V, 3) rest vertices of each frame's subject.
         vertices: (B, V, 3) of the true hand.
         distances: (B, V) of these vertices to the object, as `objects.distances` gives them.
-        points: (B, P, 3) samples of the object's surface, those nearest to the hand.
-        point_distances: (B, P) their signed distances to the hand.
-        point_share: part of all the object's samples that `points` are.
-        noisy: hands near the true ones, where the store holds such.
+        points: (B, P, 3) samples of the object's surface.
+        point_distances: (B, P) their signed distances to the hand; None for hands that they were not measured for.
+        noisy: hands near the true ones, which RefineNet starts from; None without such.
     """
 
     objects: PlacedObjects
@@ -38,12 +37,24 @@ class GraspBatch:
     vertices: Tensor
     distances: Tensor
     points: Tensor
-    point_distances: Tensor
-    point_share: float
+    point_distances: Tensor | None
     noisy: HandParameters | None = None
 
     def __len__(self) -> int:
         return len(self.objects)
+
+    @full_precision
+    def with_hands(self, model: HandModel, hand: HandParameters, rest: Tensor) -> GraspBatch:
+        """The same objects with other true hands.
+
+        Args:
+            model: the hand model.
+            hand: parameters of B hands.
+            rest: (B, V, 3) their rest vertices.
+        """
+        vertices = model(hand, rest).vertices
+        distances = self.objects.distances(vertices)
+        return replace(self, hand=hand, rest=rest, vertices=vertices, distances=distances, point_distances=None)
 
 
 class BatchAssembler(nn.Module):
@@ -86,17 +97,14 @@ class BatchAssembler(nn.Module):
             rotations = about @ rotations
             hand = self.hand.moved(hand, about, rest=rest)
             noisy = None if noisy is None else self.hand.moved(noisy, about, rest=rest)
-        samples, near = self.object_set.points, targets.near
-        points = samples[frames.object] if near is None else samples[frames.object.unsqueeze(1), near.long()]
         return GraspBatch(
             objects=self.object_set.place(frames.object, rotations),
             hand=hand,
             rest=rest,
             vertices=self.hand(hand, rest).vertices,
             distances=targets.distances.to(rest.dtype),
-            points=points @ rotations.mT,
-            point_distances=targets.near_distances.to(rest.dtype),
-            point_share=points.shape[1] / samples.shape[1],
+            points=self.object_set.points[frames.object] @ rotations.mT,
+            point_distances=targets.point_distances.to(rest.dtype),
             noisy=noisy,
         )
 

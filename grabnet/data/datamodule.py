@@ -21,7 +21,7 @@ from grabnet.data.measuring import compute_targets
 from grabnet.data.objects import OBJECT_MESHES, ObjectSet
 from grabnet.data.sources.base import FrameSource, write_store
 from grabnet.data.splits import SPLITS, Split
-from grabnet.data.targets import MAX_POINTS, Targets
+from grabnet.data.targets import Targets
 from grabnet.errors import UserError
 from grabnet.geometry.conventions import Conventions
 
@@ -37,8 +37,7 @@ class GraspDataModule(L.LightningDataModule):
         batch_size: frames per step, of all processes together.
         min_steps: of an epoch: few frames are gone through as often as that takes.
         centre: point of an object that its world has at the origin, as in `Conventions`.
-        object_points: surface samples per object.
-        near_points: of these, how many nearest to the hand enter the object→hand loss (published: all).
+        object_points: surface samples per object, which enter the object→hand loss.
         distance_to: hand→object distances are signed, to the "surface"; or unsigned, to the nearest of the "samples".
         basis_to: basis point sets hold distances to the "surface", or to the nearest of "samples", as in `Conventions`.
         points_in_use: vertices of an object that take the place of samples in use, and for `basis_to`.
@@ -66,7 +65,6 @@ class GraspDataModule(L.LightningDataModule):
         min_steps: int = 1,
         centre: str = "mean_vertex",
         object_points: int = 2048,
-        near_points: int = 128,
         distance_to: str = "surface",
         basis_to: str = "surface",
         points_in_use: int = 10_000,
@@ -89,7 +87,6 @@ class GraspDataModule(L.LightningDataModule):
             centre, distance_to, basis_to, object_points, points_in_use, rotate, hand.fingerprint
         )
         self.object_points = object_points
-        self.near_points = near_points
         self.contact_distance = contact_distance
         self.rotate = rotate
         self.max_frames = max_frames
@@ -97,11 +94,7 @@ class GraspDataModule(L.LightningDataModule):
         self.seed = seed
         self.source = source
         # Of one frame there are no batch statistics.
-        at_least(self, "data.", batch_size=2, min_steps=1, near_points=1, max_frames=2)
-        if object_points > MAX_POINTS:
-            raise UserError(f"data.object_points is {object_points}; it must be at most {MAX_POINTS}.")
-        if near_points > object_points:
-            raise UserError(f"data.near_points={near_points} exceeds data.object_points={object_points}.")
+        at_least(self, "data.", batch_size=2, min_steps=1, max_frames=2)
         self.assembler: BatchAssembler | None = None
         self._frames: dict[str, Frames] = {}
         self._targets: dict[str, Targets] = {}
@@ -154,7 +147,7 @@ class GraspDataModule(L.LightningDataModule):
                 has = f"{self.store_dir} has {len(frames) or 'no'} {split} frames, where {least} must be"
                 raise UserError(f"{has}; of its {self.split.by}s ({here}) {remedy}.")
             self._frames[split] = frames
-            self._targets[split] = compute_targets(frames, self.assembler, self.near_points)
+            self._targets[split] = compute_targets(frames, self.assembler)
 
     @property
     def contact(self) -> Tensor:

@@ -16,19 +16,13 @@ from grabnet.precision import full_precision
 
 @torch.no_grad()
 @full_precision
-def compute_targets(frames: Frames, assembler: BatchAssembler, n_points: int, batch_size: int = 64) -> Targets:
-    """Pose every frame once and measure it.
-
-    Args:
-        frames: to measure.
-        n_points: surface samples kept per frame: those nearest to the hand, or all when it equals their number.
-    """
+def compute_targets(frames: Frames, assembler: BatchAssembler, batch_size: int = 64) -> Targets:
+    """Pose every frame once and measure it."""
     hand, points = assembler.hand, assembler.object_set.points
-    nearest = NearestVertex(hand.faces, len(hand.v_template))
+    nearest = NearestVertex(hand.faces, hand.v_template)
     targets = Targets(
         torch.empty(len(frames), len(hand.v_template), dtype=torch.float16),
-        None if n_points == points.shape[1] else torch.empty(len(frames), n_points, dtype=torch.int16),
-        torch.empty(len(frames), n_points, dtype=torch.float16),
+        torch.empty(len(frames), points.shape[1], dtype=torch.float16),
     )
     for start in track(range(0, len(frames), batch_size), "Measuring the frames", transient=True):
         part = slice(start, start + batch_size)
@@ -36,12 +30,7 @@ def compute_targets(frames: Frames, assembler: BatchAssembler, n_points: int, ba
         vertices, distances = assembler.measured(batch)
         targets.distances[part] = distances.half()
         rotations = axis_angle_to_matrix(batch.object_orient)
-        offset = nearest.signed_offset(points[batch.object] @ rotations.mT, vertices)
-        if targets.near is not None:
-            chosen = offset.abs().topk(n_points, largest=False, sorted=False).indices.sort().values
-            targets.near[part] = chosen.short()
-            offset = offset.gather(1, chosen)
-        targets.near_distances[part] = offset.half()
+        targets.point_distances[part] = nearest.signed_offset(points[batch.object] @ rotations.mT, vertices).half()
     return targets
 
 

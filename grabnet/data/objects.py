@@ -13,6 +13,7 @@ from grabnet.errors import UserError
 from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.conventions import Conventions
 from grabnet.geometry.mesh import Mesh, load_mesh
+from grabnet.geometry.nearest import GROUP, by_neighbourhood
 from grabnet.geometry.placed import PlacedObjects
 from grabnet.geometry.sdf_grid import AtlasConfig, SDFGrid
 from grabnet.io.files import existing, sha256
@@ -35,7 +36,8 @@ class ObjectSet(nn.Module):
         names, meshes: as given.
         centres (O, 3): point of each object at the origin of its world, object frame.
         offsets (O, 3): from the centre to the mean vertex, which frames stores have at the origin (ref. 3).
-        points (O, object_points, 3): surface samples, object frame, relative to the centre.
+        points (O, object_points, 3): surface samples, object frame, relative to the centre; each 16 on end are
+            neighbours, as `NearestVertex` likes it.
         atlas: signed distances.
     """
 
@@ -53,6 +55,7 @@ class ObjectSet(nn.Module):
         known = conventions or Conventions()
         centres = _stacked([torch.as_tensor(known.centre_of(mesh)) for mesh in meshes])
         points = [torch.as_tensor(mesh.sample_surface(known.object_points, seed)[0]) for mesh in meshes]
+        points = [of_one[by_neighbourhood(of_one, GROUP)] for of_one in points]
         vertices = [known.vertices_in_use(mesh) for mesh in meshes] if known.basis_to == "samples" else None
         self.register_buffer("centres", centres, False)
         self.register_buffer("offsets", _stacked([torch.as_tensor(mesh.centroid) for mesh in meshes]) - centres, False)

@@ -1,4 +1,4 @@
-"""What the losses compare with: true distances, and the object's points near the hand."""
+"""What the losses compare with: true distances between hand and object."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-MAX_POINTS = torch.iinfo(torch.int16).max  # samples of an object's surface: `Targets.near` numbers them
-
 
 @dataclass(frozen=True)
 class Targets:
@@ -17,14 +15,12 @@ class Targets:
 
     Attributes:
         distances: (N, V) float16, signed distances of the true hand's vertices to the object, metres.
-        near: (N, P) int16, samples of the object's surface, into `ObjectSet.points`: those nearest to the true hand;
-            None for all of them, as they are numbered.
-        near_distances: (N, P) float16, their signed distances to it, metres.
+        point_distances: (N, P) float16, signed distances of the samples of the object's surface, `ObjectSet.points`, to
+            the true hand, metres.
     """
 
     distances: Tensor
-    near: Tensor | None
-    near_distances: Tensor
+    point_distances: Tensor
 
     def to(self, device: torch.device | str) -> Targets:
         """The same targets on `device`."""
@@ -35,8 +31,7 @@ class Targets:
         return self._each(lambda x: x[index])
 
     def _each(self, change: Callable[[Tensor], Tensor]) -> Targets:
-        near = None if self.near is None else change(self.near)
-        return Targets(change(self.distances), near, change(self.near_distances))
+        return Targets(change(self.distances), change(self.point_distances))
 
     def contact(self, distance: float) -> Tensor:
         """(V,) share of frames in which each hand vertex lies within `distance` of the object, or in it."""

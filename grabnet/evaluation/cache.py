@@ -16,7 +16,7 @@ from grabnet.io.cache import load_or_build
 from grabnet.io.files import sha256, write_bytes, write_json
 
 # Part of every key: raise it when the same content and settings would give other results.
-FORMAT = 3
+FORMAT = 4
 
 Arrays = dict[str, np.ndarray]
 

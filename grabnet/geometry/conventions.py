@@ -11,6 +11,7 @@ from torch import Tensor
 from grabnet.cli.checks import at_least, one_of
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh
+from grabnet.geometry.nearest import BLOCK, by_neighbourhood
 
 CENTRES = ("mean_vertex", "box")
 # What distances are measured to.
@@ -90,13 +91,14 @@ class Conventions:
         """(points_in_use, 3) points about the centre of a mesh, in metres.
 
         The mesh is subdivided (`Mesh.subdivided`) until it has as many vertices; those of the first numbers in
-        `numpy.random.default_rng(0).permutation` of their number are taken.
+        `numpy.random.default_rng(0).permutation` of their number are taken, neighbours one after the other.
         """
         centre = self.centre_of(mesh)
         while len(mesh.vertices) < self.points_in_use:
             mesh = mesh.subdivided()
         chosen = np.random.default_rng(0).permutation(len(mesh.vertices))[: self.points_in_use]
-        return torch.from_numpy(mesh.vertices[chosen] - centre)
+        points = torch.from_numpy(mesh.vertices[chosen] - centre)
+        return points[by_neighbourhood(points, BLOCK)]
 
 
 def _as_options(settings: dict[str, str | int]) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from grabnet.geometry.atlas import SDFAtlas
-from grabnet.geometry.nearest import cloud_distance
+from grabnet.geometry.nearest import nearest_point_distance
 from grabnet.precision import full_precision
 
 
@@ -39,7 +39,7 @@ class PlacedObjects:
     def distances(self, points: Tensor) -> Tensor:
         """Distances (B, N) in metres of world points (B, N, 3) to each element's object: see `samples`."""
         if self.samples is not None:
-            return cloud_distance(points @ self.rotations, self.samples, self.index)
+            return nearest_point_distance(points @ self.rotations, self.samples[self.index])
         return self.signed_distances(points)
 
     def signed_distances(self, points: Tensor) -> Tensor:
@@ -50,7 +50,7 @@ class PlacedObjects:
     def basis_distances(self, basis: Tensor) -> Tensor:
         """Unsigned distances (B, P) in metres of world points (P, 3) to each element's object: see `basis_samples`."""
         if self.basis_samples is not None:
-            return cloud_distance(basis @ self.rotations, self.basis_samples, self.index)
+            return nearest_point_distance(basis @ self.rotations, self.basis_samples[self.index])
         return self.atlas.basis_distances(basis, self.index, self.rotations, self.centres)
 
     def select(self, rows: Tensor | slice) -> PlacedObjects:

@@ -73,8 +73,7 @@ class CoarseNetLoss(ReconstructionLoss):
     """CoarseNet's terms, each × (1 − kl), and kl × the KL divergence.
 
     Args:
-        object_to_hand: weight of the signed object→hand distances, their mean taken over all samples of the object as
-            published: those that are left out for being far from the hand count as right.
+        object_to_hand: weight of the signed object→hand distances.
         point_weights: of each point within it.
         kl: κ, weight of the KL divergence.
     """
@@ -96,13 +95,13 @@ class CoarseNetLoss(ReconstructionLoss):
             hand, contact, vertex, edge, hand_to_object, weight_exponent, contact_weights, evened_vertices=False
         )
         self.object_to_hand, self.kl, self.point_weights = object_to_hand, kl, point_weights
-        self.nearest = NearestVertex(hand.faces, len(hand.v_template))
+        self.nearest = NearestVertex(hand.faces, hand.v_template)
 
     def forward(self, vertices: Tensor, batch: GraspBatch, posterior: Normal) -> dict[str, Tensor]:
         terms = super().forward(vertices, batch)
         reached = self.nearest.signed_offset(batch.points, vertices)
         error = object_to_hand_l1(reached, batch.point_distances, self.point_weights)
-        terms["object_to_hand"] = self.object_to_hand * batch.point_share * error
+        terms["object_to_hand"] = self.object_to_hand * error
         terms = {name: (1 - self.kl) * term for name, term in terms.items()}
         return terms | {"kl": self.kl * kl_to_standard_normal(posterior)}
 

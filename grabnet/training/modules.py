@@ -122,7 +122,20 @@ class GraspTraining(L.LightningModule, ABC):
     def reconstruct(self, batch: GraspBatch) -> tuple[Tensor | None, dict[str, Tensor]]:
         """Predicted vertices (B, V, 3) of a batch, None for a model that reconstructs none; and weighted loss terms."""
 
+    def sampled_reconstruction(self, batch: GraspBatch) -> Tensor | None:
+        """Reconstruct as the released evaluation does (ref. 8), from a sample where there is a posterior.
+
+        Returns:
+            vertices (B, V, 3); None for a model that reconstructs none.
+        """
+        return None
+
+    def prepared(self, batch: GraspBatch) -> GraspBatch:
+        """The batch with the hands to start from and those to reach: as it is where the recorded ones are reached."""
+        return batch
+
     def training_step(self, batch: GraspBatch, batch_idx: int) -> Tensor:
+        batch = self.prepared(batch)
         _, terms = self.reconstruct(batch)
         loss = torch.stack(list(terms.values())).sum()
         self._log_terms("train", terms, loss, batch)
@@ -132,14 +145,21 @@ class GraspTraining(L.LightningModule, ABC):
         self._evaluate("val", batch)
 
     def test_step(self, batch: GraspBatch, batch_idx: int, dataloader_idx: int = 0) -> None:
-        self._evaluate(f"test/{SPLITS[dataloader_idx]}", batch)
+        stage = f"test/{SPLITS[dataloader_idx]}"
+        self._evaluate(stage, batch)
+        published = self.prepared(mean_shaped(batch, self.hand))
+        self._log_errors(f"{stage}/published_", self.sampled_reconstruction(published), published)
 
     def _evaluate(self, stage: str, batch: GraspBatch) -> None:
+        batch = self.prepared(batch)
         vertices, terms = self.reconstruct(batch)
         self._log_terms(stage, terms, torch.stack(list(terms.values())).sum(), batch)
+        self._log_errors(f"{stage}/", vertices, batch)
+
+    def _log_errors(self, before: str, vertices: Tensor | None, batch: GraspBatch) -> None:
         if vertices is not None:
             for name, value in reconstruction_errors(vertices, batch.vertices).items():
-                self._log(f"{stage}/{name}", value.mean(), batch)
+                self._log(f"{before}{name}", value.mean(), batch)
 
     def _log_terms(self, stage: str, terms: dict[str, Tensor], loss: Tensor, batch: GraspBatch) -> None:
         for name, value in terms.items():
@@ -196,6 +216,9 @@ class CoarseNetTraining(GraspTraining):
         vertices = self.hand(guess, batch.rest).vertices
         return vertices, self.loss(vertices, batch, posterior)
 
+    def sampled_reconstruction(self, batch: GraspBatch) -> Tensor:
+        return self.hand(reconstructed_from_sample(self.network, batch), batch.rest).vertices
+
 
 class RefineNetTraining(GraspTraining):
     """Trains RefineNet to mend what comes near a true grasp.
@@ -203,7 +226,7 @@ class RefineNetTraining(GraspTraining):
     Args:
         hand: the hand model. contact: (V,) share of training frames in which each vertex touches.
         iterations, width, n_hidden, dropout: of the network.
-        source: makes the hands near a batch's true ones that RefineNet starts from.
+        source: makes the hands that RefineNet starts from and those that it is to reach.
         loss: makes the loss, given hand and contact.
         optimizer, scheduler: as in `GraspTraining`.
     """
@@ -228,13 +251,18 @@ class RefineNetTraining(GraspTraining):
         super().__init__(network, loss(hand=hand, contact=contact), hand, optimizer, scheduler, source.trained_from)
         self.source = source
 
+    def prepared(self, batch: GraspBatch) -> GraspBatch:
+        return self.source(batch, self.hand)
+
     def grasp(self, batch: GraspBatch) -> Tensor:
         """Refined from what the source gives."""
-        hand = refined(self.network, self.source(batch), batch)
-        return self.hand(hand, batch.rest).vertices
+        return self.sampled_reconstruction(self.prepared(batch))
+
+    def sampled_reconstruction(self, batch: GraspBatch) -> Tensor:
+        return self.hand(refined(self.network, batch.noisy, batch), batch.rest).vertices
 
     def reconstruct(self, batch: GraspBatch) -> tuple[Tensor, dict[str, Tensor]]:
-        vertices = self.grasp(batch)
+        vertices = self.sampled_reconstruction(batch)
         return vertices, self.loss(vertices, batch)
 
 
@@ -283,10 +311,26 @@ class GrabNetTraining(GraspTraining):
         terms = {f"coarse_{name}": term for name, term in self.loss["coarsenet"](guessed, batch, posterior).items()}
         return vertices, terms | self.loss["refinenet"](vertices, batch)
 
+    def sampled_reconstruction(self, batch: GraspBatch) -> Tensor:
+        guess = reconstructed_from_sample(self.network.coarsenet, batch)
+        return self.hand(refined(self.network.refinenet, guess, batch), batch.rest).vertices
+
 
 def reconstructed(network: CoarseNet, batch: GraspBatch) -> tuple[HandParameters, Normal]:
     """A batch's hands from CoarseNet's posterior, and that posterior."""
     return network(network.features(batch.objects), batch.hand.global_orient, batch.hand.transl)
+
+
+def reconstructed_from_sample(network: CoarseNet, batch: GraspBatch) -> HandParameters:
+    """A batch's hands from a sample of CoarseNet's posterior, drawn by torch's global generator, in any mode."""
+    features = network.features(batch.objects)
+    posterior = network.encode(features, batch.hand.global_orient, batch.hand.transl)
+    return network.decode(posterior.mean + posterior.stddev * torch.randn_like(posterior.mean), features)
+
+
+def mean_shaped(batch: GraspBatch, model: HandModel) -> GraspBatch:
+    """The batch's poses with the model's mean shape for every subject, as the released evaluation has them (ref. 8)."""
+    return batch.with_hands(model, batch.hand, model.v_template.expand_as(batch.rest))
 
 
 def refined(network: RefineNet, guess: HandParameters, batch: GraspBatch) -> HandParameters:

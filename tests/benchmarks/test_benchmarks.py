@@ -124,12 +124,12 @@ def test_suites_write_their_figures(tmp_path, monkeypatch, cache_dir, tiny_datas
 @pytest.mark.parametrize("model", ["coarsenet", "refinenet"])
 def test_the_plain_losses_are_those_of_training(model, tiny_dataset, cache_dir, tmp_path):
     """With all samples of the objects, compared by the nearest one, and the networks' noise the same."""
-    published = ["data.object_points=512", "data.near_points=512", "data.distance_to=samples"]
+    published = ["data.object_points=512", "data.distance_to=samples"]
     published.append("model.loss.kl=0.3" if model == "coarsenet" else "model.loss.scale=0.7")
-    overrides = [o for o in tiny_overrides(tiny_dataset, tmp_path, cache_dir, model) if "near_points" not in o]
-    step = Step.make(BenchmarkConfig(**SETTINGS), [*overrides, *published])
+    overrides = tiny_overrides(tiny_dataset, tmp_path, cache_dir, model, *published)
+    step = Step.make(BenchmarkConfig(**SETTINGS), overrides)
     torch.manual_seed(0)
-    _, terms = step.module.reconstruct(step.batch)
+    _, terms = step.module.reconstruct(step.module.prepared(step.batch))
     torch.manual_seed(0)
     plain = step.plain_terms()
     assert plain.keys() == terms.keys()

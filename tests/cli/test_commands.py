@@ -28,12 +28,13 @@ LINES = {
         "",
         "hand_model=mano hand_model.path=a.npz",
         "data=grabnet_release data.source.release=a objects.dir=a",
-        "source=coarsenet source.coarsenet=a",
+        "source=guesses_to_recorded source.coarsenet=a",
     ],
     "train": [
         "",
         "model=refinenet",
-        "model=refinenet source=coarsenet model.source.coarsenet=a",
+        "model=refinenet source=guesses_to_recorded model.source.coarsenet=a",
+        "model=refinenet source=samples_perturbed model.source.coarsenet=a",
         "model=grabnet",
         "data=grabnet_release data.source.release=a objects.dir=a",
         "hand_model=mano hand_model.path=a.npz",
@@ -146,7 +147,13 @@ def test_help_explains_the_command(command):
 
 def test_help_shows_the_files_of_the_groups_that_are_chosen():
     ended = run("train.py", "model=refinenet", "scheduler=cosine", "--help")
-    for file in ("model/refinenet", "loss/refinenet", "source/noise", "scheduler/cosine", "trainer/default"):
+    for file in (
+        "model/refinenet",
+        "loss/refinenet",
+        "source/recorded_perturbed",
+        "scheduler/cosine",
+        "trainer/default",
+    ):
         assert f"── {file}.yaml, below {file.split('/')[0] if file[:5] in ('model', 'train') else ''}" in ended.stdout
     assert "dropout: 0.3 # share of features" in ended.stdout and "latent_dim:" not in ended.stdout
 

@@ -23,7 +23,9 @@ SPLIT = {"split": Split("object", ["can"], ["ring"])}
 
 @pytest.fixture(scope="module")
 def data(tiny_dataset, hand, cache_dir) -> GraspDataModule:
-    module = GraspDataModule(hand, str(tiny_dataset), **SPLIT, batch_size=16, near_points=64, cache_dir=str(cache_dir))
+    module = GraspDataModule(
+        hand, str(tiny_dataset), **SPLIT, batch_size=16, object_points=64, cache_dir=str(cache_dir)
+    )
     module.setup()
     return module
 
@@ -52,7 +54,7 @@ def test_distances_are_those_to_the_mesh(data, tiny_dataset):
 
 
 def test_distances_may_be_to_the_samples_as_published(tiny_dataset, hand, cache_dir):
-    settings = {"near_points": 8, "distance_to": "samples", "cache_dir": str(cache_dir)}
+    settings = {"object_points": 64, "distance_to": "samples", "cache_dir": str(cache_dir)}
     data = GraspDataModule(hand, str(tiny_dataset), **SPLIT, **settings)
     data.setup()
     batch = data.assemble("train", torch.arange(3), turn=True)
@@ -65,21 +67,7 @@ def test_distances_may_be_to_the_samples_as_published(tiny_dataset, hand, cache_
         GraspDataModule(hand, str(tiny_dataset), **SPLIT, **(settings | {"distance_to": "meters"})).setup()
 
 
-def test_points_are_the_nearest_and_their_distances_exact(data):
-    batch = data.assemble("train", torch.arange(5))
-    candidates = data.assembler.object_set.points[batch.objects.index] @ batch.objects.rotations.mT
-    for k in range(5):
-        tree = cKDTree(batch.vertices[k].numpy())
-        distance, _ = tree.query(candidates[k].numpy())
-        kept, _ = tree.query(batch.points[k].numpy())
-        assert kept.max() < sorted(distance)[63] + 1e-6
-        assert abs(batch.point_distances[k].abs().numpy() - kept).max() < 1e-4
-
-
-def test_all_points_where_as_many_are_wanted(tiny_dataset, hand, cache_dir):
-    settings = {"object_points": 100, "near_points": 100, "cache_dir": str(cache_dir)}
-    data = GraspDataModule(hand, str(tiny_dataset), **SPLIT, **settings)
-    data.setup()
+def test_points_are_the_samples_and_their_distances_exact(data):
     batch = data.assemble("train", torch.arange(5))
     torch.testing.assert_close(
         batch.points, data.assembler.object_set.points[batch.objects.index] @ batch.objects.rotations.mT
@@ -182,10 +170,8 @@ def test_what_processes_cannot_share_is_an_error(batch_size, devices, sentence, 
     [
         ({"batch_size": 1}, r"data\.batch_size is 1; it must be at least 2\."),
         ({"min_steps": 0}, r"data\.min_steps is 0; it must be at least 1\."),
-        ({"near_points": 0}, r"data\.near_points is 0; it must be at least 1\."),
+        ({"object_points": 0}, r"data\.object_points is 0; it must be at least 1\."),
         ({"max_frames": -1}, r"data\.max_frames is -1; it must be at least 2\."),
-        ({"object_points": 32768}, r"data\.object_points is 32768; it must be at most 32767\."),
-        ({"near_points": 3000}, "data.near_points=3000 exceeds data.object_points=2048"),
     ],
 )
 def test_wrong_values_are_told_at_once(values, sentence, hand):

@@ -81,7 +81,7 @@ def settings(grabber, tiny_dataset, cache_dir, tmp_path_factory):
     runs = tmp_path_factory.mktemp("runs")
     save_network(runs / "coarse" / "model.safetensors", grabber.generator.coarsenet, {})
     save_network(runs / "fine" / "model.safetensors", grabber.generator.refinenet, {})
-    data = [f"data.root={tiny_dataset}", "data.split.val=[can]", "data.split.test=[ring]", "data.near_points=32"]
+    data = [f"data.root={tiny_dataset}", "data.split.val=[can]", "data.split.test=[ring]", "data.object_points=64"]
     few = ["n=4", "draws=20", "scenes=0", "processes=1", "reconstruction=false", "simulated=0", "pictures=1"]
     places = ["models=[newest]", f"runs={runs}", f"cache_dir={cache_dir}", f"data.cache_dir={cache_dir}"]
     output = tmp_path_factory.mktemp("evaluation")

@@ -46,7 +46,7 @@ def arguments(runs, tiny_dataset, cache_dir) -> list[str]:
     few = ["n=4", "halo_samples=3", "draws=50", "pictures=0", "scenes=1", "processes=1", "reconstruction=false"]
     data = ["data=frames", f"data.root={tiny_dataset}", "data.split.val=[can]", "data.split.test=[ring]"]
     places = ["models=[newest]", f"runs={runs}", f"cache_dir={cache_dir}", f"data.cache_dir={cache_dir}"]
-    return [*data, "data.near_points=32", *few, "simulated=0", *places]
+    return [*data, "data.object_points=64", *few, "simulated=0", *places]
 
 
 @pytest.fixture(scope="module")
@@ -205,7 +205,7 @@ def test_reconstruction_is_what_a_training_run_reports(folder, runs, tiny_datase
             "model=coarsenet",
             "data=frames",
             f"data.root={tiny_dataset}",
-            "data.near_points=32",
+            "data.object_points=64",
             f"data.cache_dir={cache_dir}",
             "data.split.val=[can]",
             "data.split.test=[ring]",
@@ -220,7 +220,7 @@ def test_reconstruction_is_what_a_training_run_reports(folder, runs, tiny_datase
         trainer = L.Trainer(logger=False, enable_progress_bar=False, accelerator="cpu", default_root_dir=tmp_path)
         trainer.test(module, datamodule=data, verbose=False)
         for split in ("train", "val", "test"):
-            for name in ("v2v", "v2v_mae"):
+            for name in ("v2v", "v2v_mae", "published_v2v", "published_v2v_mae"):
                 tested = float(trainer.callback_metrics[f"test/{split}/{name}"])
                 assert errors[kind, split, "all"][name] == pytest.approx(tested, rel=1e-5)
         frames = [e["n"] for (k, _, name), e in errors.items() if k == kind and name == "all"]

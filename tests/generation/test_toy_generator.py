@@ -167,7 +167,7 @@ def test_it_is_evaluated(run, tiny_dataset, cache_dir, tmp_path):
     from grabnet.evaluation.run import run as evaluate
 
     values = ["data=frames", f"data.root={tiny_dataset}", "data.split.val=[can]", "data.split.test=[ring]"]
-    values += ["data.near_points=32", f"data.cache_dir={cache_dir}", f"cache_dir={cache_dir}", f"output={tmp_path}"]
+    values += ["data.object_points=64", f"data.cache_dir={cache_dir}", f"cache_dir={cache_dir}", f"output={tmp_path}"]
     values += [f"models=[{run}]", "n=3", "draws=20", "pictures=0", "scenes=0", "processes=1", "simulated=0"]
     assert evaluate(instantiate(compose("evaluate", values), _convert_="object")) == 0
     found = json.loads((tmp_path / "metrics.json").read_text())

@@ -77,7 +77,7 @@ def test_the_likelihood_of_contact_is_that_of_training_frames(made, grab, cache_
     frames = store.frames.select(torch.tensor([n == "ball" for n in store.objects])[store.frames.object])
     vertices = hand(frames.hand(), store.v_template[frames.subject]).vertices
     expected = (vertices.norm(dim=-1) < grip()[1] + 0.0045).float().mean(0)
-    data = GraspDataModule(hand, str(made), **SPLIT, near_points=8, cache_dir=str(cache_dir))
+    data = GraspDataModule(hand, str(made), **SPLIT, object_points=64, cache_dir=str(cache_dir))
     data.setup()
     assert expected.max() == 1 and ((data.contact - expected).abs() > 1e-6).float().mean() < 0.01  # facets lie inside
 

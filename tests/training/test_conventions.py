@@ -32,7 +32,7 @@ from tests.tiny import tiny_overrides
 
 OTHERWISE = ("data.centre=box", "data.distance_to=samples", "data.basis_to=samples", "data.object_points=300",
              "data.points_in_use=400", "data.rotate=false")  # fmt: skip
-EVALUATION = ("data=frames", "data.split.val=[can]", "data.split.test=[ring]", "data.near_points=32")
+EVALUATION = ("data=frames", "data.split.val=[can]", "data.split.test=[ring]", "data.object_points=64")
 QUICK = ("trainer.max_epochs=1", "test=false")
 
 
@@ -107,7 +107,7 @@ def test_hand_and_object_stay_where_they_are_to_each_other(dataset, cache_dir, h
     made = {}
     for centre in ("mean_vertex", "box"):
         split = Split("object", ["can"], ["ring"])
-        data = GraspDataModule(hand, str(dataset), split, near_points=16, centre=centre, cache_dir=str(cache_dir))
+        data = GraspDataModule(hand, str(dataset), split, object_points=64, centre=centre, cache_dir=str(cache_dir))
         data.setup()
         for turn in (False, True):
             torch.manual_seed(1)
@@ -145,7 +145,7 @@ def test_training_on_by_others_is_refused(runs, dataset, cache_dir, tmp_path, mo
     if model == "grabnet":
         overrides = [o for o in overrides if not o.startswith("model.")] + more
     else:
-        overrides += ["source=coarsenet", f"model.source.coarsenet={runs / 'coarsenet'}"]
+        overrides += ["source=guesses_to_recorded", f"model.source.coarsenet={runs / 'coarsenet'}"]
     with pytest.raises(UserError, match=said):
         train(compose("train", overrides))
     assert not (tmp_path / "history.json").exists()
@@ -192,7 +192,7 @@ def test_an_evaluation_shows_them_objects_as_their_training_did(runs, dataset, c
 def test_a_source_that_knows_objects_otherwise_is_refused(runs, dataset, cache_dir, tmp_path):
     train(compose("train", tiny_overrides(dataset, tmp_path, cache_dir, "coarsenet", *QUICK)))
     values = [*EVALUATION, f"data.root={dataset}", f"data.cache_dir={cache_dir}", f"models=[{runs}]"]
-    values += ["source=coarsenet", f"source.coarsenet={tmp_path}"]
+    values += ["source=guesses_to_recorded", f"source.coarsenet={tmp_path}"]
     inputs = EvaluationInputs(instantiate(compose("evaluate", [*values, f"cache_dir={tmp_path}"]), _convert_="object"))
     with pytest.raises(UserError, match=r"was trained with data.centre=mean_vertex .*centre=box"):
         Reconstruction.of(inputs)()

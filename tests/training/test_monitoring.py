@@ -14,7 +14,7 @@ from grabnet.data.splits import Split
 from grabnet.losses.grasp import RefineNetLoss
 from grabnet.training.modules import RefineNetTraining
 from grabnet.training.monitoring import GraspMonitor
-from grabnet.training.refine_inputs import PoseNoise
+from grabnet.training.refine_inputs import RecordedPerturbed
 from grabnet.visual.pictures import can_render
 
 WEIGHTS = {"vertex": 1.0, "edge": 1.0, "hand_to_object": 1.0, "scale": 1.0}
@@ -24,7 +24,7 @@ WEIGHTS |= {"weight_exponent": 0.4, "contact_weights": "learned"}
 @pytest.fixture(scope="module")
 def data(tiny_dataset, hand, cache_dir) -> GraspDataModule:
     names = {"split": Split("object", ["can", "block"], ["ring"])}
-    data = GraspDataModule(hand, str(tiny_dataset), **names, near_points=16, cache_dir=str(cache_dir))
+    data = GraspDataModule(hand, str(tiny_dataset), **names, object_points=64, cache_dir=str(cache_dir))
     data.setup()
     return data
 
@@ -38,7 +38,7 @@ def unchanging(hand, contact: torch.Tensor, noise: float) -> RefineNetTraining:
         width=8,
         n_hidden=8,
         dropout=0.3,
-        source=PoseNoise(noise, noise, noise),
+        source=RecordedPerturbed(noise, noise, noise),
         loss=lambda **given: RefineNetLoss(**given, **WEIGHTS),
         optimizer=lambda parameters: torch.optim.SGD(parameters),
         scheduler=lambda optimizer: None,

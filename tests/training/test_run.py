@@ -40,6 +40,7 @@ def test_a_run_leaves_all_its_records(model, tiny_dataset, tmp_path, cache_dir, 
         # The Euclidean distance lies between one and three times the mean over its coordinates.
         v2v, mae = metrics[f"test/{split}/v2v"], metrics[f"test/{split}/v2v_mae"]
         assert 0 < mae < v2v < 3 * mae
+        assert 0 < metrics[f"test/{split}/published_v2v_mae"] < metrics[f"test/{split}/published_v2v"]
     record = read_provenance(tmp_path)
     assert record["seed"] == 0 and record["config"]["model"]["width"] == 32
     assert record["data"]["frames"] == {"train": 96, "val": 48, "test": 48}
@@ -121,7 +122,7 @@ def test_both_networks_go_on_end_to_end_from_trained_ones(tiny_dataset, tmp_path
     network = load_network(file, kind="CoarseNet")
     network.conventions = replace(network.conventions, hand="0" * 64)
     save_network(file, network, {})
-    guesses = ["model=refinenet", "source=coarsenet", f"model.source.coarsenet={file}"]
+    guesses = ["model=refinenet", "source=guesses_to_recorded", f"model.source.coarsenet={file}"]
     for more in (start, guesses):
         with pytest.raises(InstantiationException) as told:
             train(compose("train", [*overrides, *more, f"run_dir={tmp_path / 'other'}"]))

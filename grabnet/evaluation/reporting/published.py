@@ -7,7 +7,7 @@ SOURCE = "GrabNet on GRAB, as published"
 
 # By metric, network and split: mm per coordinate on GRAB; paper 4.
 OF_NETWORKS = {
-    "reconstruction/v2v_mae": {
+    "reconstruction/published_v2v_mae": {
         "CoarseNet": {"train": 12.1, "val": 14.1, "test": 18.4},
         "RefineNet": {"train": 3.7, "val": 4.1, "test": 4.4},
     },

@@ -132,7 +132,7 @@ def test_it_is_trained_on_by_the_command_that_writes_it(tmp_path, cache_dir):
 
 def test_batches_are_split_by_people(written, hand, cache_dir):
     data = GraspDataModule(
-        hand, str(written), Split("subject", ["p1"], ["p2"]), near_points=8, cache_dir=str(cache_dir),
+        hand, str(written), Split("subject", ["p1"], ["p2"]), object_points=64, cache_dir=str(cache_dir),
         source=Toy(str(written / "source"), hand),
     )  # fmt: skip
     data.prepare_data()

@@ -176,17 +176,17 @@ def test_noisy_hands_are_what_refinenet_starts_from(published, tmp_path, meshes,
     release, shown = published
     store, hand = convert(release, tmp_path, meshes), HandModel.open()
     split = {"split": Split("object", ["ring"], ["block"]), "objects_dir": str(meshes)}
-    data = GraspDataModule(hand, str(tmp_path), **split, near_points=8, cache_dir=str(cache_dir))
+    data = GraspDataModule(hand, str(tmp_path), **split, object_points=64, cache_dir=str(cache_dir))
     data.setup()
     index = torch.arange(3)
     still, turned = (data.assemble("train", index, turn) for turn in (False, True))
-    start = hand(StoredNoise()(still), still.rest).vertices
+    start = hand(StoredNoise()(still, hand).noisy, still.rest).vertices
     frames = data.frames("train")
     for k in range(3):
         expected = shown[store.sequences[frames.sequence[k]], frames.frame[k].item()]
         np.testing.assert_allclose(start[k], expected.noisy - expected.object.mean(0), atol=8e-5)
     # Turned with all else.
-    moved = hand(StoredNoise()(turned), turned.rest).vertices
+    moved = hand(StoredNoise()(turned, hand).noisy, turned.rest).vertices
     torch.testing.assert_close(
         (moved - turned.vertices).norm(dim=-1), (start - still.vertices).norm(dim=-1), atol=1e-4, rtol=0
     )
@@ -196,12 +196,12 @@ def test_noisy_hands_may_be_left_out(published, tmp_path, meshes, cache_dir):
     store = convert(published[0], tmp_path, meshes, noisy=False)
     assert store.frames.noisy is None and "verts_rhand_f" not in store.card["provenance"]["compared"]["train"]["off"]
     data = GraspDataModule(
-        HandModel.open(), str(tmp_path), Split("object", ["ring"], ["block"]), str(meshes), near_points=8,
+        HandModel.open(), str(tmp_path), Split("object", ["ring"], ["block"]), str(meshes), object_points=64,
         cache_dir=str(cache_dir),
     )  # fmt: skip
     data.setup()
     with pytest.raises(UserError, match="holds no noisy hands"):
-        StoredNoise()(data.assemble("train", torch.arange(2)))
+        StoredNoise()(data.assemble("train", torch.arange(2)), data.hand)
 
 
 # From the downloads to a step of training.
