@@ -88,7 +88,7 @@ def test_files_may_have_any_name(command, line):
     paths, lists = names(command)
     known = [key for key, _ in leaves(compose(CONFIG[command], line.split())) if key in (*paths, *lists)]
     assert known
-    arguments = [f"{key}={AWKWARD}" for key in known if key not in lists]
+    arguments = [f"{key}={AWKWARD}{key}" for key in known if key not in lists]
     several = {"format": "[glb,ply]"}
     arguments += [f"{key}={several.get(key, '[é.obj,~/(2).obj]')}" for key in known if key in lists]
     cfg = compose(CONFIG[command], [*line.split(), *quoted(arguments, paths, lists)])
@@ -99,7 +99,7 @@ def test_files_may_have_any_name(command, line):
         elif key in lists:
             assert value == ["é.obj", str(Path.home() / "(2).obj")]
         else:
-            assert value == AWKWARD
+            assert value == f"{AWKWARD}{key}"
 
 
 @pytest.mark.parametrize("command", LINES)
