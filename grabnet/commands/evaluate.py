@@ -6,21 +6,9 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from grabnet.cli.entry import hydra_entry
+from grabnet.commands.train import DATA_PATHS
 
-PATHS = (
-    "runs",
-    "output",
-    "cache_dir",
-    "objects.dir",
-    "hand_model.path",
-    "data.root",
-    "data.objects_dir",
-    "data.cache_dir",
-    "data.source.root",
-    "data.source.release",
-    "data.source.objects_dir",
-    "source.coarsenet",
-)
+PATHS = ("runs", "output", "cache_dir", "source.coarsenet", *DATA_PATHS)
 LISTS = ("models", "grasps")
 
 

@@ -7,9 +7,8 @@ from omegaconf import DictConfig
 
 from grabnet.cli.entry import hydra_entry
 
-PATHS = (
-    "run_dir",
-    "sweep_dir",
+# Those of the groups that evaluate.yaml has, too.
+DATA_PATHS = (
     "objects.dir",
     "hand_model.path",
     "data.root",
@@ -18,6 +17,11 @@ PATHS = (
     "data.source.root",
     "data.source.release",
     "data.source.objects_dir",
+)
+PATHS = (
+    "run_dir",
+    "sweep_dir",
+    *DATA_PATHS,
     "model.coarsenet",
     "model.refinenet",
     "model.source.coarsenet",

@@ -132,7 +132,7 @@ def test_csv_and_latex_say_what_json_says(folder):
         cell = found["metrics"][f"{line['protocol']}/{line['metric']}"]["values"][line["row"]][line["object"]]
         assert float(line["value"]) == cell["value"]
         assert int(line["n"]) == cell["n"]
-    assert sum(line["protocol"] == "reconstruction" for line in lines) == 2 * len(found["reconstruction"])
+    assert sum(line["protocol"] == "reconstruction" for line in lines) == 4 * len(found["reconstruction"])
     latex = (folder / "tables.tex").read_text(encoding="utf-8")
     rows = [line for line in latex.splitlines() if line.endswith(r"\\")]
     assert sum(line.startswith("CoarseNet + RefineNet &") for line in rows) == 1

@@ -51,6 +51,14 @@ def test_a_run_leaves_all_its_records(model, tiny_dataset, tmp_path, cache_dir, 
         torch.testing.assert_close(value, best[f"network.{name}"])
 
 
+@pytest.mark.parametrize("experiment", ["paper", "surface_rotated"])
+@pytest.mark.parametrize("model", ["coarsenet", "refinenet"])
+def test_the_papers_experiment_and_ours_train(model, experiment, tiny_dataset, tmp_path, cache_dir):
+    overrides = tiny_overrides(tiny_dataset, tmp_path, cache_dir, model, f"experiment={experiment}")
+    metrics = train(compose("train", [*overrides, "data.min_steps=1", "callbacks.grasps=null"]))
+    assert 0 < metrics["test/test/published_v2v_mae"] < metrics["test/test/published_v2v"]
+
+
 def test_faster_ways_learn_nearly_the_same(tiny_dataset, tmp_path, cache_dir):
     found = {}
     for value in ("compile=false", "compile=true", "trainer.precision=bf16-mixed"):
