@@ -149,7 +149,7 @@ def test_the_batch_is_the_suites_unless_told(suite, batch):
         ({"suite": "sfd"}, f"no suite 'sfd'; choose from {', '.join(SUITES)}"),
         ({"runs": 1}, "runs is 1; it must be at least 2"),
         ({"batch": 0}, "batch is 0; it must be at least 1"),
-        ({"device": "tpu"}, "device is 'tpu'; it can be cpu, cuda"),
+        ({"device": "tpu"}, "device is 'tpu'; it can be auto, cpu, cuda"),
     ],
 )
 def test_values_out_of_range_are_refused(change, sentence):

@@ -289,7 +289,7 @@ def test_an_object_that_cannot_be_cut_is_reported_and_the_rest_goes_on(call, mad
     (sentence,) = found["failures"]
     assert re.match(r"ring: grasptta and shake failed for 6 of 6 grasps: .*not done after 2 s", sentence)
     assert sentence in (output / "report.html").read_text(encoding="utf-8").replace("&#x27;", "'")
-    assert sentence in capsys.readouterr().out
+    assert f"error: {sentence}" in capsys.readouterr().err
     values = {name: found["metrics"][name]["values"]["parameters"] for name in ("shake/failed", "shake/displacement")}
     assert values["shake/failed"]["ring"]["value"] == 100
     assert values["shake/failed"]["can"]["value"] == 0
@@ -304,7 +304,7 @@ def test_a_folder_without_an_object_is_reported_and_the_rest_goes_on(arguments, 
     command = [sys.executable, str(ROOT / "scripts" / "evaluate.py"), *given]
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
     assert done.returncode == 1, done.stderr
-    assert "parameters has no grasps of can" in done.stdout
+    assert "error: parameters has no grasps of can" in done.stderr
     found = results(tmp_path / "output")
     assert found["rows"]["parameters"].endswith("which has none of can")
     assert set(found["metrics"]["penetration/max"]["values"]["parameters"]) == {"ring", "all"}
