@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from grabnet.contact.bones import Bones
+from grabnet.contact.contacts import CONTACT_DISTANCE
 from grabnet.geometry.intersections import Crossings, MovingMesh, find_crossings
 from grabnet.geometry.kernels import queries as kernels
 from grabnet.geometry.kernels.launch import launch
@@ -48,7 +49,7 @@ class ContactAnnotator:
     """Finds contact of a moving body with one object.
 
     Args:
-        thing: the object.
+        object_mesh: the object.
         rest: (V, 3) a pose of the body, metres.
         faces: (F, 3) of the body, facing outwards.
         parts: (V,) label of each body vertex, 1 … 55 in GRAB; see `vertex_parts`.
@@ -61,17 +62,17 @@ class ContactAnnotator:
 
     def __init__(
         self,
-        thing: Mesh,
+        object_mesh: Mesh,
         rest: np.ndarray,
         faces: np.ndarray,
         parts: np.ndarray,
-        distance: float = 0.0045,
+        distance: float = CONTACT_DISTANCE,
         measured_to: str = "surface",
         bones: Bones | None = None,
     ):
         self._lids = Lids(len(rest), faces)
         self.body = MovingMesh(self._lids.with_middles(rest), np.concatenate([faces, self._lids.faces]))
-        self.thing = MovingMesh(thing.vertices, thing.faces)
+        self.object_mesh = MovingMesh(object_mesh.vertices, object_mesh.faces)
         self.parts = np.asarray(parts, np.uint8)
         self.distance = distance
         self.bones = bones
@@ -80,22 +81,22 @@ class ContactAnnotator:
         self.face_parts = np.zeros(len(self.body.faces), np.uint8)
         self.face_parts[: len(faces)] = np.sort(self.parts[faces], 1)[:, 1]
         self._skin = np.arange(len(self.body.faces)) < len(faces)
-        self._around = _Neighbours(len(thing.vertices), self.thing.edges)
+        self._around = _Neighbours(len(object_mesh.vertices), self.object_mesh.edges)
 
     def __call__(self, vertices: np.ndarray) -> Contact:
         """Contact of the body at `vertices` (V, 3), metres, in the object's frame."""
         self.body.move(self._lids.with_middles(vertices))
-        crossings = find_crossings(self.body, self.thing)
+        crossings = find_crossings(self.body, self.object_mesh)
         touched = self._enclosed(crossings, self._counting_rings(crossings))
         cutting = np.unique(self.face_parts[crossings.body_faces[self._skin[crossings.body_faces]]])
 
-        n = len(self.thing.vertices)
+        n = len(self.object_mesh.vertices)
         face, position = np.full(n, -1, np.int32), np.zeros((n, 3), np.float32)
         body = np.zeros(len(self.parts), bool)
         if touched.any():
-            face[touched], position[touched] = self._closest_skin(self.thing.vertices[touched])
+            face[touched], position[touched] = self._closest_skin(self.object_mesh.vertices[touched])
             near = self._near_object().nonzero()[0]
-            reach, _ = cKDTree(self.thing.vertices[touched]).query(
+            reach, _ = cKDTree(self.object_mesh.vertices[touched]).query(
                 self.body.vertices[near], distance_upper_bound=self.distance
             )
             body[near[reach <= self.distance]] = True
@@ -112,7 +113,7 @@ class ContactAnnotator:
         if self.bones is None:
             labels[found] = self.parts[self.body.faces[face[found], weights[found].argmax(1)]]
         elif found.any():
-            labels[found] = self.bones.nearest_parts(vertices, self.thing.vertices[found])
+            labels[found] = self.bones.nearest_parts(vertices, self.object_mesh.vertices[found])
         return Contact(labels, np.where(body, self.parts, 0).astype(np.uint8), face, weights)
 
     def _near_free_surface(
@@ -129,8 +130,8 @@ class ContactAnnotator:
             face (N,), -1 for none, and position (N, 3) on it, of the body; touching (M,).
         """
         free = self._skin & ~np.isin(self.face_parts, cutting)
-        face, position = _closest(self.body, self.thing.vertices[hovering], self.distance, free)
-        return face, position, _closest(self.thing, self.body.vertices[near], self.distance)[0] >= 0
+        face, position = _closest(self.body, self.object_mesh.vertices[hovering], self.distance, free)
+        return face, position, _closest(self.object_mesh, self.body.vertices[near], self.distance)[0] >= 0
 
     def _near_free_vertices(
         self, hovering: np.ndarray, near: np.ndarray, cutting: np.ndarray
@@ -139,7 +140,7 @@ class ContactAnnotator:
         face, position = np.full(len(hovering), -1, np.int32), np.zeros((len(hovering), 3), np.float32)
         if not len(hovering) or not len(near):
             return face, position, np.zeros(len(near), bool)
-        points, vertices = self.thing.vertices[hovering], self.body.vertices[near]
+        points, vertices = self.object_mesh.vertices[hovering], self.body.vertices[near]
         is_near = cKDTree(vertices).query(points)[0] <= self.distance
         # The nearest point of the skin about a vertex is no farther than the vertex, but for rounding.
         is_free = np.zeros(len(self.body.vertices), bool)
@@ -150,7 +151,7 @@ class ContactAnnotator:
 
     @cached_property
     def _tree(self) -> cKDTree:
-        return cKDTree(self.thing.vertices)
+        return cKDTree(self.object_mesh.vertices)
 
     def _closest_skin(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Face (N,) and position (N, 3) of the body nearest to each point, lids left out."""
@@ -161,16 +162,16 @@ class ContactAnnotator:
 
     def _near_object(self) -> np.ndarray:
         """(V,) body vertices within ε of the object's bounding box."""
-        return self._within(self.body.vertices[: len(self.parts)], *self.thing.bounds)
+        return self._within(self.body.vertices[: len(self.parts)], *self.object_mesh.bounds)
 
     def _near_body(self) -> np.ndarray:
         """Object vertices within ε of the bounding box of those body faces that come near the object."""
-        low, high = self.thing.bounds
+        low, high = self.object_mesh.bounds
         near = self.body.faces[self.body.faces_near(low - self.distance, high + self.distance)]
         if not len(near):
-            return np.zeros(len(self.thing.vertices), bool)
+            return np.zeros(len(self.object_mesh.vertices), bool)
         corners = self.body.vertices[near.ravel()]
-        return self._within(self.thing.vertices, corners.min(0), corners.max(0))
+        return self._within(self.object_mesh.vertices, corners.min(0), corners.max(0))
 
     def _within(self, points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """(N,) points within ε of a box."""
@@ -243,16 +244,16 @@ class ContactAnnotator:
         inside, outside = [], []
         for end, at, leads_in in ((0, own[first], False), (1, own[last], True)):
             at = at[counting[crossings.ring[at]]]
-            ends, is_in = self.thing.edges[crossings.edge[at], end], crossings.entering[at] == leads_in
+            ends, is_in = self.object_mesh.edges[crossings.edge[at], end], crossings.entering[at] == leads_in
             inside.append(ends[is_in])
             outside.append(ends[~is_in])
         inside, outside = np.concatenate(inside), np.concatenate(outside)
         reached = self._around.flood(inside, edge)
         if reached[outside].any():
             # Of a body turned inside out in places, as hands of networks are, edges contradict each other: most decide.
-            uncut = np.ones(len(self.thing.edges), bool)
+            uncut = np.ones(len(self.object_mesh.edges), bool)
             uncut[edge] = False
-            n_regions, region = _components(len(reached), self.thing.edges[uncut])
+            n_regions, region = _components(len(reached), self.object_mesh.edges[uncut])
             votes = np.bincount(region[inside], minlength=n_regions) - np.bincount(region[outside], minlength=n_regions)
             reached &= votes[region] > 0
         return reached

@@ -64,21 +64,23 @@ class ContactFolder:
         )
         write_sequence(self._file("grab", sequence.name), sequence)
 
-    def write_frame(self, sequence: Sequence, number: int, thing: Mesh, vertices: Tensor, faces: np.ndarray) -> None:
+    def write_frame(
+        self, sequence: Sequence, number: int, object_mesh: Mesh, vertices: Tensor, faces: np.ndarray
+    ) -> None:
         """Write the object and the body of one frame, coloured by part.
 
         Args:
             sequence: the recording.
             number: of the frame.
-            thing: the object's mesh, in its own frame.
+            object_mesh: the object's mesh, in its own frame.
             vertices: (V, 3) metres, the body in the world.
             faces: (F, 3) of the body.
         """
         frame = slice(number, number + 1)
         place = self.root / "frames" / f"{sequence.name}_{number}"
-        in_world = sequence.object.to_world(torch.tensor(thing.vertices), frame)[0].numpy()
+        in_world = sequence.object.to_world(torch.tensor(object_mesh.vertices), frame)[0].numpy()
         for what, mesh, labels in (
-            ("object", Mesh(in_world, thing.faces), sequence.contact.object[number]),
+            ("object", Mesh(in_world, object_mesh.faces), sequence.contact.object[number]),
             ("body", Mesh(vertices.numpy(), faces), sequence.contact.body[number]),
         ):
             write_labelled(place.with_name(f"{place.name}_{what}.ply"), mesh, labels)

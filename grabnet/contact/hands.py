@@ -28,7 +28,7 @@ class HandAnnotator:
     """Finds contact of hands of one topology with one object. What closes the wrist belongs to the palm.
 
     Args:
-        thing: the object, metres.
+        object_mesh: the object, metres.
         rest: (V, 3) any of the hands, metres.
         faces: (F, 3) of the hands, facing outwards.
         parts: (V,) uint8 label of each vertex, the palm's the lowest.
@@ -39,7 +39,7 @@ class HandAnnotator:
 
     def __init__(
         self,
-        thing: Mesh,
+        object_mesh: Mesh,
         rest: np.ndarray,
         faces: np.ndarray,
         parts: np.ndarray,
@@ -51,7 +51,7 @@ class HandAnnotator:
         closed, closed_faces = close(rest, faces)
         closed_parts = np.append(parts, np.full(len(closed) - len(parts), parts.min(), np.uint8))
         self._annotate = ContactAnnotator(
-            thing,
+            object_mesh,
             closed,
             closed_faces,
             closed_parts,

@@ -13,6 +13,7 @@ from grabnet.body.skeleton import N_PARTS
 from grabnet.body.whole import BodyModel
 from grabnet.contact.annotator import Contact, ContactAnnotator, vertex_parts
 from grabnet.contact.bones import Bones
+from grabnet.contact.contacts import CONTACT_DISTANCE
 from grabnet.contact.rules import ContactRules
 from grabnet.data.sequences import ContactTrack, Sequence
 from grabnet.geometry.mesh import Mesh
@@ -56,8 +57,8 @@ def annotate(
     sequence: Sequence,
     body: BodyModel,
     v_template: Tensor,
-    thing: Mesh,
-    distance: float = 0.0045,
+    object_mesh: Mesh,
+    distance: float = CONTACT_DISTANCE,
     every: int = 1,
     rules: ContactRules = ContactRules(),  # noqa: B008, frozen
 ) -> Annotation:
@@ -67,14 +68,15 @@ def annotate(
         sequence: the recording; its labels are not read.
         body: the whole body model.
         v_template: (V, 3) the subject's.
-        thing: the object's contact mesh, its vertices numbered as in the file.
+        object_mesh: the object's contact mesh, its vertices numbered as in the file.
         distance: ε of `ContactAnnotator`, metres.
         every: n, to label only every n-th frame; nothing touches in the others.
         rules: what ε is measured to, and whose part it is.
     """
-    annotator = body_annotator(body, v_template.numpy(), thing, distance, rules)
+    annotator = body_annotator(body, v_template.numpy(), object_mesh, distance, rules)
     labels = ContactTrack(
-        np.zeros((len(sequence), len(thing.vertices)), np.uint8), np.zeros((len(sequence), len(v_template)), np.uint8)
+        np.zeros((len(sequence), len(object_mesh.vertices)), np.uint8),
+        np.zeros((len(sequence), len(v_template)), np.uint8),
     )
     nothing = TouchedFrame(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros((0, 3), np.float32))
     correspondence = [nothing] * len(sequence)
@@ -90,11 +92,11 @@ def annotate(
 
 
 def body_annotator(
-    body: BodyModel, v_template: np.ndarray, thing: Mesh, distance: float, rules: ContactRules
+    body: BodyModel, v_template: np.ndarray, object_mesh: Mesh, distance: float, rules: ContactRules
 ) -> ContactAnnotator:
     """Return the annotator of a subject, whose parts are numbered as in GRAB (ref. 1)."""
     return ContactAnnotator(
-        thing,
+        object_mesh,
         v_template,
         body.faces.numpy(),
         vertex_parts(body.weights.numpy()),
