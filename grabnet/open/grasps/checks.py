@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from grabnet.body.anatomy import FINGERS
-from grabnet.open.grasps.energy import overlaps, sphere_clearance
-from grabnet.open.grasps.posing import FOREARM_RADIUS, GraspHand, GraspPose, Posed
+from grabnet.grasping.grasp_hand import FOREARM_RADIUS, GraspHand, GraspPose
+from grabnet.grasping.walls import crossing, depth_through_walls
 from grabnet.open.grasps.posture import PostureConfig, discomfort
 from grabnet.open.grasps.proposals import Proposals
 from grabnet.open.grasps.scene import SynthesisScene
@@ -95,9 +95,9 @@ def measure(
         contacts=contacts.long(),
         max_depth=depth.amax(1),
         mean_depth=depth.sum(1) / (depth > 0).sum(1).clamp_min(1),
-        through=_through(scene, hand, posed).amax(1),
+        through=depth_through_walls(scene.distance, hand, posed).amax(1),
         bone_depth=(config.bone_share * hand.radii * 1e3 - spheres).amax(1),
-        crossing=_crossing(hand, posed),
+        crossing=crossing(hand, posed),
         forearm=(FOREARM_RADIUS * 1e3 - config.forearm - forearm).amax(1),
         below_table=under.amax(1) * 1e3,
         opposed=opposed,
@@ -119,35 +119,3 @@ def verdicts(measures: GraspMeasures, on_table: Tensor, config: AcceptanceConfig
         "table": ~on_table | (m.below_table <= config.below_table),
         "opposed": m.opposed <= config.opposed,
     } | {name: getattr(m, name) <= getattr(config, name) for name in sorted(bounded)}
-
-
-def _through(scene: SynthesisScene, hand: GraspHand, posed: Posed, steps: int = 7) -> Tensor:
-    """(B, V) mm of the line from the point inside the hand to each vertex, beyond where it first enters the object.
-
-    Signed distance at the vertex can't tell that a fingertip has come out of a thin wall on the other side; this can.
-    """
-    foot = posed.spheres[:, hand.foot]
-    line = posed.vertices - foot
-    length = line.norm(dim=-1) * 1e3
-    entry = torch.ones_like(length)
-    for share in torch.linspace(1, 0.3, steps).tolist():
-        distance = scene.distance(foot + share * line) * 1e3
-        here = (share + distance / length.clamp_min(1)).clamp(0, 1)
-        entry = torch.where(distance < -0.2, here, entry)
-    return (1 - entry) * length
-
-
-def _crossing(hand: GraspHand, posed: Posed) -> Tensor:
-    """(B,) mm by which a finger is inside another (skin against spheres) or inside the palm (spheres, 2 mm allowed)."""
-    phalanx = (hand.sphere_bone - 1) % 3
-    sphere_finger = torch.where((hand.sphere_bone > 0) & (phalanx > 0), (hand.sphere_bone - 1) // 3, -1)
-    bone = hand.anatomy.bone
-    skin_finger = torch.where((bone > 0) & ((bone - 1) % 3 > 0), (bone - 1) // 3, -1)
-    deepest = []
-    for finger in range(5):
-        skin = posed.vertices[:, skin_finger == finger]
-        others = (sphere_finger >= 0) & (sphere_finger != finger)
-        inside = hand.radii[others] - torch.cdist(skin, posed.spheres[:, others])
-        deepest.append(inside.amax((1, 2)))
-    spheres = overlaps(posed.spheres, sphere_clearance(hand)).amax((1, 2))
-    return torch.stack([*(1e3 * d for d in deepest), spheres - 2]).amax(0)

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from grabnet.open.grasps.posing import FOREARM_RADIUS, GraspHand, GraspPose, Posed
+from grabnet.grasping.grasp_hand import FOREARM_RADIUS, GraspHand, GraspPose, Posed
+from grabnet.grasping.spheres import overlaps
 from grabnet.open.grasps.posture import PostureConfig, discomfort
 from grabnet.open.grasps.proposals import Proposals, pad_weights
 from grabnet.open.grasps.scene import SynthesisScene
@@ -70,7 +71,6 @@ class GraspEnergy:
         fingers = self.pad_weight.clone()
         fingers[:, thumb] = 0
         self._thumb, self._finger_share = thumb, fingers / fingers.sum(1, keepdim=True)
-        self._apart = sphere_clearance(hand)
         palm_helps = self.pad_weight[:, hand.pad_names.index("palm_mcp")] > 0
         self._opposed = torch.where(palm_helps, config.power_opposition, 1.0)
 
@@ -108,7 +108,7 @@ class GraspEnergy:
         return 1e6 * (skin.square().sum(1) + forearm.square().sum(1))
 
     def _self_overlap(self, spheres: Tensor) -> Tensor:
-        return 0.5 * overlaps(spheres, self._apart).square().sum((1, 2))
+        return 0.5 * overlaps(spheres, self.hand.apart).square().sum((1, 2))
 
     def _touch(self, posed: Posed, skin: Tensor, normal: Tensor, softness: float) -> Tensor:
         """Contact, alignment and opposition of the pads."""
@@ -134,25 +134,3 @@ class GraspEnergy:
         finger_side = (0.9 - (self._finger_share * (surface * press.unsqueeze(1)).sum(-1)).sum(1)).relu()
         opposition = self._opposed * (thumb_side + finger_side)
         return c.contact * contact + c.alignment * alignment + c.opposition * opposition
-
-
-def sphere_clearance(hand: GraspHand) -> Tensor:
-    """(S, S) metres that centres of spheres must keep apart: of different fingers, and of fingers and palm; else 0."""
-    bone = hand.sphere_bone
-    finger = torch.where(bone > 0, (bone - 1) // 3, -1)
-    near_palm = (bone > 0) & (((bone - 1) % 3 == 0) | ((finger == 4) & ((bone - 1) % 3 < 2)))
-    palm = finger == -1
-    joined = (near_palm.unsqueeze(1) & palm) | (palm.unsqueeze(1) & near_palm)
-    separate = (finger.unsqueeze(1) != finger) & ~joined
-    flat = GraspPose(torch.eye(3).to(hand.rest)[None], hand.joints[:1], hand.rest.new_zeros(1, 21))
-    rest = hand.posed(flat).spheres[0]
-    apart = torch.minimum(0.92 * (hand.radii.unsqueeze(1) + hand.radii), 0.97 * torch.cdist(rest, rest))
-    return apart * separate
-
-
-def overlaps(spheres: Tensor, apart: Tensor) -> Tensor:
-    """(B, S, S) mm by which sphere centres (B, S, 3) are nearer to each other than (S, S) metres."""
-    centred = (spheres - spheres.mean(1, keepdim=True).detach()) * 1e3  # mm about their middle: float32 suffices
-    norm = centred.square().sum(-1)
-    squared = norm.unsqueeze(2) + norm.unsqueeze(1) - 2 * centred @ centred.mT
-    return (1e3 * apart - squared.clamp_min(1e-4).sqrt()).relu()

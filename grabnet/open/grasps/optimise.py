@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from grabnet.geometry.rotations import axis_angle_to_matrix
+from grabnet.grasping.grasp_hand import GraspHand, GraspPose
 from grabnet.open.grasps.energy import EnergyConfig, GraspEnergy
-from grabnet.open.grasps.posing import GraspHand, GraspPose
 from grabnet.open.grasps.posture import PostureConfig
 from grabnet.open.grasps.proposals import Proposals
 from grabnet.open.grasps.scene import SynthesisScene

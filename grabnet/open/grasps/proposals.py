@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from grabnet.open.grasps.posing import FOREARM_RADIUS, GraspHand, GraspPose
+from grabnet.grasping.grasp_hand import FOREARM_RADIUS, GraspHand, GraspPose
 from grabnet.open.grasps.posture import PostureConfig, discomfort
 from grabnet.open.grasps.scene import Part, SynthesisScene
 from grabnet.open.grasps.templates import KINDS, Template

@@ -16,10 +16,10 @@ from torch import Tensor
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
+from grabnet.grasping.grasp_hand import GraspHand, GraspPose
 from grabnet.open.grasps.checks import AcceptanceConfig, GraspMeasures, measure, verdicts
 from grabnet.open.grasps.energy import EnergyConfig
 from grabnet.open.grasps.optimise import OptimiserConfig, optimise
-from grabnet.open.grasps.posing import GraspHand, GraspPose
 from grabnet.open.grasps.posture import PostureConfig
 from grabnet.open.grasps.proposals import KIND_NAMES, ProposalConfig, propose
 from grabnet.open.grasps.scene import SynthesisScene

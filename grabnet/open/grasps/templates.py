@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from grabnet.open.grasps.posing import GraspHand, GraspPose
+from grabnet.grasping.grasp_hand import GraspHand, GraspPose
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
-from grabnet.open.grasps.posing import GraspHand
+from grabnet.grasping.grasp_hand import GraspHand
 from grabnet.open.grasps.synthesise import SynthesisConfig, angle_limits
 from grabnet.open.grasps.templates import TemplateConfig, build_templates
 

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import torch
 
+from grabnet.grasping.grasp_hand import GraspPose
 from grabnet.open.grasps.checks import AcceptanceConfig, measure, verdicts
-from grabnet.open.grasps.posing import GraspPose
 from grabnet.open.grasps.posture import PostureConfig
 from grabnet.open.grasps.proposals import Proposals
 

@@ -5,8 +5,8 @@ import torch
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
 from grabnet.geometry.rotations import axis_angle_to_matrix
-from grabnet.open.grasps.energy import EnergyConfig, GraspEnergy, overlaps, sphere_clearance
-from grabnet.open.grasps.posing import GraspHand, GraspPose
+from grabnet.grasping.grasp_hand import GraspHand, GraspPose
+from grabnet.open.grasps.energy import EnergyConfig, GraspEnergy
 from grabnet.open.grasps.posture import PostureConfig
 from grabnet.open.grasps.proposals import Proposals
 from grabnet.open.grasps.templates import KINDS
@@ -43,25 +43,3 @@ def test_gradient_matches_finite_differences(limits):
             shift[:, column] = step
             numeric = (value(x + shift) - value(x - shift)) / (2 * step)
             torch.testing.assert_close(gradient[:, column], numeric, rtol=2e-4, atol=2e-3)
-
-
-def test_overlap_of_spheres_is_that_of_exact_distances(hand):
-    generator = torch.Generator().manual_seed(0)
-    n = len(hand.radii)
-    spheres = 0.3 + 0.05 * torch.randn(3, n, 3, generator=generator)
-    apart = 0.02 * torch.rand(n, n, generator=generator)
-    exact = (apart.double() - torch.cdist(spheres.double(), spheres.double())).clamp(min=0) * 1e3
-    exact = exact * (1 - torch.eye(n))
-    torch.testing.assert_close(overlaps(spheres, apart) * (1 - torch.eye(n)), exact.float(), atol=2e-3, rtol=0)
-
-
-def test_a_flat_hand_does_not_overlap_itself_and_crossed_fingers_do(hand):
-    clearance = sphere_clearance(hand)
-    assert (clearance.diag() == 0).all()
-    torch.testing.assert_close(clearance, clearance.T)
-    rotation, wrist = torch.eye(3)[None], hand.joints[:1]
-    flat = hand.posed(GraspPose(rotation, wrist, torch.zeros(1, 21)))
-    assert overlaps(flat.spheres, clearance).max() < 1e-2
-    crossed = torch.zeros(1, 21)
-    crossed[0, 1], crossed[0, 5] = -0.3, 0.3  # index and middle finger towards each other
-    assert overlaps(hand.posed(GraspPose(rotation, wrist, crossed)).spheres, clearance).max() > 3

@@ -9,7 +9,7 @@ import torch
 import trimesh
 
 from grabnet.geometry.mesh import Mesh
-from grabnet.open.grasps.posing import GraspPose
+from grabnet.grasping.grasp_hand import GraspPose
 from grabnet.open.grasps.stability import StabilityConfig, cut, displacement, holds
 from grabnet.physics.hand_pieces import hand_pieces
 from grabnet.physics.simulation import RigidBody

@@ -7,9 +7,9 @@ from grabnet.body.hand import OPEN_HANDS
 from grabnet.errors import UserError
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.rotations import random_rotations
+from grabnet.grasping.grasp_hand import GraspPose
 from grabnet.io.files import sha256
 from grabnet.open.grasps.building import collect
-from grabnet.open.grasps.posing import GraspPose
 from grabnet.open.grasps.store import OPEN_GRASPS, load_open_grasps, save_open_grasps
 from grabnet.open.grasps.synthesise import SUBJECTS, ObjectGrasps, SynthesisConfig, subject_betas
 from grabnet.open.objects import OBJECTS, build_object

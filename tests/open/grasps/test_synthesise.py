@@ -8,8 +8,8 @@ import trimesh
 
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
+from grabnet.grasping.grasp_hand import GraspHand
 from grabnet.open.grasps.optimise import OptimiserConfig
-from grabnet.open.grasps.posing import GraspHand
 from grabnet.open.grasps.scene import SynthesisScene, part
 from grabnet.open.grasps.synthesise import GENDERS, SynthesisConfig, grasp_object, subject_betas
 

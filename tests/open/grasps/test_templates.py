@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import torch
 
-from grabnet.open.grasps.posing import GraspPose
+from grabnet.grasping.grasp_hand import GraspPose
 from grabnet.open.grasps.templates import KINDS, regularity
 
 

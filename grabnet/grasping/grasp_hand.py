@@ -1,4 +1,4 @@
-"""A subject's hand as grasp synthesis needs it: skin, and spheres inside fingers, palm and forearm, posed together."""
+"""A hand of one shape as grasping needs it: skin, and spheres inside fingers, palm and forearm, posed together."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from grabnet.body.anatomy import FINGERS, Anatomy, vertex_normals
+from grabnet.body.anatomy import Anatomy, vertex_normals
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.body.skeleton import HAND_JOINTS
 from grabnet.body.skinning import forward_kinematics, skin, tree_levels
+from grabnet.grasping.spheres import clearance, fill
 
 FOREARM_RADIUS = 0.035  # metres, a slim adult forearm near the wrist
 PAD_VERTICES = 12  # a pad is represented by at most so many
@@ -48,6 +49,7 @@ class GraspHand:
     Attributes:
         rest (V, 3), joints (16, 3): the shape at rest. normals (V, 3): at rest, unit.
         radii (S,), sphere_bone (S,): the spheres that fill fingers and palm, and the bone each moves with.
+        apart (S, S): metres that the spheres' centres keep from each other, see `clearance`.
         sample (N,): vertices that stand for the whole skin while optimising: pads and a quarter of all.
         pads (P, K): members of `sample` on each pad, padded; pad_mask (P, K): which of them count. pad_names (P,).
     """
@@ -59,7 +61,8 @@ class GraspHand:
         self.normals = vertex_normals(self.rest, hand.faces)
         self._levels = tree_levels(hand.parents)
 
-        centres, self.radii, self.sphere_bone = _fill(self.rest, self.joints, anatomy)
+        centres, self.radii, self.sphere_bone = fill(self.rest, self.joints, anatomy)
+        self.apart = clearance(centres, self.radii, self.sphere_bone)
         backward = self.joints[0] - self.joints[[1, 4, 7, 10]].mean(0)
         backward = backward / backward.norm()
         forearm = self.joints[0] + backward * self.rest.new_tensor(FOREARM_REACH).unsqueeze(1)
@@ -95,41 +98,3 @@ class GraspHand:
     def parameters(self, pose: GraspPose) -> HandParameters:
         """The same poses as parameters of the hand model."""
         return HandParameters(pose.rotation, self.anatomy.hand_pose(pose.angles), pose.wrist - self.joints[0])
-
-
-def _fill(rest: Tensor, joints: Tensor, anatomy: Anatomy) -> tuple[Tensor, Tensor, Tensor]:
-    """Centres (S, 3), radii (S,) and bones (S,) of spheres along the finger bones and under the palm."""
-    spheres = []
-    for finger, name in enumerate(FINGERS):
-        first = HAND_JOINTS.index(f"{name}1")
-        ends = [*joints[first : first + 3], rest[anatomy.tips[finger]]]
-        for k, shares in enumerate(((0.15, 0.5, 0.85), (0.15, 0.5, 0.85), (0.15, 0.48, 0.8))):
-            skin_of_bone = rest[anatomy.bone == first + k]
-            along = ends[k + 1] - ends[k]
-            along = along / along.norm()
-            for share in shares:
-                centre = torch.lerp(ends[k], ends[k + 1], share)
-                section = skin_of_bone[((skin_of_bone - centre) @ along).abs() < 0.008]
-                if len(section) >= 4:  # joints lie nearer the back of the finger than its middle
-                    shift = (section - centre).mean(0)
-                    centre = centre + 0.8 * (shift - (shift @ along) * along)
-                reach = section - centre
-                radius = (reach - (reach @ along).unsqueeze(1) * along).norm(dim=1).median() if len(section) else 0.008
-                spheres.append((centre, float(radius), first + k))
-    # The palm, and the thick roots of the fingers, by spheres against the skin that faces the object (towards -y).
-    knuckles = joints[[1, 4, 10, 7]]  # index, middle, ring, pinky
-    beyond = joints[[2, 5, 11, 8]]
-    roots = (anatomy.bone == 0) | ((anatomy.bone - 1) % 3 == 0)
-    for across, finger in enumerate((1, 4, 10, 7)):
-        for share, end, bone, skin_of_bone in (
-            *((share, knuckles[across], 0, rest[anatomy.bone == 0]) for share in (0.2, 0.4, 0.6, 0.8, 0.95)),
-            *((share, beyond[across], finger, rest[roots & (anatomy.bone < 13)]) for share in (0.05, 0.3)),
-        ):
-            centre = torch.lerp(joints[0] if bone == 0 else knuckles[across], end, share)
-            beside = skin_of_bone[(skin_of_bone - centre)[:, [0, 2]].norm(dim=1) < 0.011]
-            if len(beside) >= 2:
-                low, high = beside[:, 1].min(), beside[:, 1].max()
-                if (radius := min(float((high - low) / 2), 0.014 if bone == 0 else 0.010)) > 0.006:
-                    spheres.append((torch.stack([centre[0], low + radius, centre[2]]), radius, bone))
-    centres, radii, bones = zip(*spheres, strict=True)
-    return torch.stack(centres), rest.new_tensor(radii), torch.tensor(bones)

@@ -7,7 +7,7 @@ from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.openings import close
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.rotations import random_rotations
-from grabnet.open.grasps.posing import GraspHand, GraspPose
+from grabnet.grasping.grasp_hand import GraspHand, GraspPose
 
 
 def poses(n: int, seed: int = 0) -> GraspPose:
