@@ -127,11 +127,28 @@ def sha256(*parts: bytes | str | np.ndarray | Path) -> str:
 def existing(path: str | Path, what: str) -> Path:
     """`path` when it exists; otherwise a `UserError` that lists what lies beside it."""
     path = Path(path)
-    if path.exists():
-        return path
-    parent = path.parent
-    if not parent.is_dir():
+    try:
+        if path.exists():
+            return path
+        has_folder = (parent := path.parent).is_dir()
+    except (OSError, ValueError) as error:  # a name too long, a folder that must not be entered, a NUL
+        raise UserError(f"{what} {path} cannot be opened ({getattr(error, 'strerror', error)}).") from None
+    if not has_folder:
         raise UserError(f"{what} {path} does not exist, nor does its folder {parent}.")
     beside = sorted(p.name for p in parent.iterdir() if not p.name.startswith("."))
     listing = ", ".join(beside[:12]) + (", …" if len(beside) > 12 else "")
     raise UserError(f"{what} {path} does not exist; {parent} holds {listing or 'nothing'}.")
+
+
+def existing_file(path: str | Path, what: str, max_bytes: int | None = None) -> Path:
+    """`path` when it is a regular file of at most `max_bytes`: no folder, and no pipe or device, which may never end.
+
+    Raises:
+        UserError: it is not.
+    """
+    path = existing(path, what)
+    if not path.is_file():
+        raise UserError(f"{what} {path} is no regular file: name the file itself.")
+    if max_bytes is not None and (size := path.stat().st_size) > max_bytes:
+        raise UserError(f"{what} {path} has {size:,} bytes; at most {max_bytes:,} are read.")
+    return path
