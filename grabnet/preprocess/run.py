@@ -28,7 +28,8 @@ from grabnet.data.frames import read_header, shard_names, shard_path, start_stor
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.splits import Split
 from grabnet.errors import UserError
-from grabnet.io.files import leftovers, write_json
+from grabnet.io.files import write_json
+from grabnet.io.litter import clear_litter
 from grabnet.io.provenance import provenance
 from grabnet.preprocess.backends import Outcome, by_dask, by_joblib, machine_cores
 from grabnet.preprocess.filtering import FrameFilter
@@ -122,8 +123,7 @@ def preprocess(config: PreprocessConfig) -> list[Outcome]:
     recipe = config.recipe()
     with alone_in(config.store):
         start_store(config.store, recipe, f"delete {config.store}, or choose another output=")
-        for leftover in leftovers(config.root, *_RECORDS, str(OBJECT_MESHES / "*.*")):
-            leftover.unlink()
+        clear_litter(config.root, *_RECORDS, str(OBJECT_MESHES / "*.*"))
         config.data.start()
         done = shards_done(config.store, config.data, names, config.filter.mirror_left)
         done = {name for name in done if config.data.is_complete(name)}
