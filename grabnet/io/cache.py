@@ -6,7 +6,6 @@ hash, so that neither changed bytes nor the file of something else are believed.
 
 from __future__ import annotations
 
-import glob
 import os
 import warnings
 from collections.abc import Callable
@@ -71,7 +70,7 @@ def read_cached(path: Path, decode: Callable[[bytes], Value]) -> Value | None:
 def write_cached(path: Path, content: bytes) -> None:
     """Keep the content at `path`; a disk that doesn't take it costs a warning."""
     try:
-        clear_litter(path.parent, glob.escape(path.name))
+        clear_litter(path.parent, path.name)
         write_bytes(path, _line(path, content) + b"\n" + content)
     except OSError as error:
         warnings.warn(f"{path} cannot be written ({error}): it is built again next time.", stacklevel=3)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import glob
 import hashlib
 import json
 import os
@@ -59,7 +58,7 @@ def filling(folder: str | Path, names: Sequence[str]) -> Iterator[Path]:
             "another folder."
         )
     folder.parent.mkdir(parents=True, exist_ok=True)
-    clear_litter(folder.parent, glob.escape(folder.name), contents=names)
+    clear_litter(folder.parent, folder.name, contents=names)
     with temporary_beside(folder, is_folder=True) as temporary:
         yield temporary
         folder.mkdir(exist_ok=True)

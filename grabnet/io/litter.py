@@ -9,6 +9,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from fnmatch import fnmatchcase as fnmatch
 from pathlib import Path
 
 try:
@@ -43,12 +44,16 @@ def clear_litter(folder: str | Path, *names: str, contents: Sequence[str] = ()) 
 
     Args:
         folder: that exists or not.
-        names: `<stem>.<suffix>`, either of which may be *, after folders, which may be * as well.
+        names: of files, which may be patterns, as may the folders before them.
         contents: of temporary folders, as patterns.
     """
-    for name in map(Path, names):
-        for path in Path(folder).glob(str(name.parent / f".{name.stem}-????????{name.suffix}")):
-            if _RANDOM.fullmatch(path.stem[-9:]) and _is_ours(path, contents):
+    for place in {Path(name).parent for name in names}:
+        sought = {Path(name).name for name in names if Path(name).parent == place}
+        patterns = [name for name in sought if "*" in name]
+        for path in Path(folder).glob(str(place / ".*-????????*")):
+            name = path.stem[1:-9] + path.suffix
+            is_sought = name in sought or any(fnmatch(name, pattern) for pattern in patterns)
+            if is_sought and _RANDOM.fullmatch(path.stem[-9:]) and _is_ours(path, contents):
                 with contextlib.suppress(OSError), _only_user(path):
                     _remove(path)
 

@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 
 # Folders that systems add to archives and disks.
 _OF_SYSTEMS = {"__MACOSX"}
+_HIDDEN = re.compile(r"\.[^.]")
 # "mug (1)", "mug copy", "mug copy 2", "mug - Copy", "mug - Copy (2)", "mug (copy)", "Copy of mug".
 _COPY = re.compile(r".+( \(\d{1,3}\)| ?\(copy( \d+)?\)|( -)? copy( \d+)?| - copy \(\d+\))|copy of .+", re.IGNORECASE)
 # "mug 2", "mug(1)": copies where there is a mug beside them.
@@ -20,7 +21,7 @@ log = logging.getLogger(__name__)
 def is_hidden(name: str | Path) -> bool:
     """Whether a file or a folder on its relative path is hidden or a system's own: `._mug.npz`, `__MACOSX/mug.npz`."""
     parts = PurePosixPath(str(name).replace("\\", "/")).parts
-    return any(part in _OF_SYSTEMS or (part.startswith(".") and part.strip(".")) for part in parts)
+    return any(part in _OF_SYSTEMS or _HIDDEN.match(part) for part in parts)
 
 
 def is_copy(name: str | Path) -> bool:

@@ -24,7 +24,8 @@ _MAX_DEPTH = 50
 #     str, bool, int (of 64 bits), float (any number), None for null, object for any value of JSON;
 #     a set of values, one of which it must be; a tuple of kinds, one of which it must be of;
 #     [kind]: a list, each item of that kind; {str: kind}: an object of any keys;
-#     {"key": kind, "other?": kind}: an object that has these keys, those with ? not always, and perhaps further ones.
+#     {"key": kind, "other?": kind, "*": kind}: an object that has these keys, those with ? not always, and perhaps
+#     further ones, which are of the kind of * if it is there.
 Kind = Any
 
 
@@ -136,7 +137,8 @@ def _check_object(value: Any, kind: Mapping[Any, Kind], at: str, depth: int) -> 
             _check(key, str, f"a key of {at or 'it'}", depth)
             _check(item, kind[str], f"{at}.{key}" if at else key, depth + 1)
         return
-    for key, of_key in kind.items():
+    further = dict.fromkeys(value.keys() - kind.keys(), kind["*"]) if "*" in kind else {}
+    for key, of_key in (further | {key: of_key for key, of_key in kind.items() if key != "*"}).items():
         name = key.removesuffix("?")
         place = f"{at}.{name}" if at else name
         if name in value:

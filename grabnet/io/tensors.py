@@ -54,9 +54,8 @@ def read_tensors(path: str | Path, what: str, remedy: str) -> Tensors:
             if max(value.shape, default=0) > _MAX_LENGTH:
                 raise ValueError(f"{name} has shape {tuple(value.shape)}")
     except (SafetensorError, OSError, KeyError, TypeError, ValueError, RuntimeError, AssertionError) as error:
-        raise UserError(
-            f"{path} is damaged: no readable safetensors file ({' '.join(str(error).split())}); {remedy}."
-        ) from None
+        reason = " ".join(str(error).split())
+        raise UserError(f"{path} is damaged: no readable safetensors file ({reason}); {remedy}.") from None
     return Tensors(path, values, facts)
 
 

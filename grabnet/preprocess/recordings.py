@@ -24,6 +24,7 @@ from grabnet.data.sequences import Sequence, load_below, read_sequence
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.io.files import existing, sha256
+from grabnet.io.names import originals
 from grabnet.preprocess.grasp_track import GraspTrack
 from grabnet.preprocess.heights import gap_to_table
 from grabnet.preprocess.statistics import contact_counts, overlap
@@ -146,7 +147,8 @@ class GrabRecordings(RecordingSource):
         return Path(self.root).resolve()
 
     def names(self) -> list[str]:
-        names = [f"{file.parent.name}/{file.stem}" for file in sorted(self.folder.glob("grab/*/[!.]*.npz"))]
+        files = originals(self.folder.glob("grab/*/*.npz"), self.folder)
+        names = [f"{file.parent.name}/{file.stem}" for file in files]
         if not names:
             remedy = "make them with python scripts/build_open.py sequences"
             if self.models is not None:
