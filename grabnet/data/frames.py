@@ -225,15 +225,19 @@ def write_shard(
     write_bytes(shard_path(root, sequence), save(tensors, {"header": facts}))
 
 
-def read_header(path: str | Path) -> dict[str, Any]:
-    """What `write_shard` was told of a sequence besides its frames.
+def read_header(path: str | Path, kind: Kind | None = None) -> dict[str, Any]:
+    """What `write_shard` was given of a sequence besides its frames.
+
+    Args:
+        path: of the shard.
+        kind: of what it must hold further, as in `grabnet.io.state`.
 
     Raises:
         UserError: a damaged or missing shard, or one of another format.
     """
     path, facts = Path(path), header_facts(path)
     try:
-        return parsed_json((facts or {})["header"], _SHARD)
+        return parsed_json((facts or {})["header"], _SHARD | (kind or {}))
     except (KeyError, ValueError) as error:
         raise UserError(f"{path} is damaged or missing ({error}): {_REMEDY}.") from None
 

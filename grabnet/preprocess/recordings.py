@@ -192,7 +192,7 @@ class GrabRecordings(RecordingSource):
         if self.contact == "recompute":
             sequence, overlaps = self._annotated(sequence, mesh, files.mesh(sequence.body.vtemp))
         centroid = files.mesh(mesh_file, weld=True).centroid  # as training has it
-        return GrabRecording(sequence, mesh, centroid, files, overlaps)
+        return GrabRecording(sequence, mesh, centroid, self._n_vertices, files, overlaps)
 
     def rest(self, template: str) -> Tensor:
         return torch.tensor(load_below(self.folder, template).vertices)
@@ -200,6 +200,10 @@ class GrabRecordings(RecordingSource):
     @cached_property
     def _objects(self) -> dict[str, Path]:
         return object_files(self.folder / OBJECT_MESHES)
+
+    @cached_property
+    def _n_vertices(self) -> int:
+        return len(self.hand().v_template)
 
     @cached_property
     def _contact_folder(self) -> ContactFolder:
@@ -251,12 +255,19 @@ class GrabRecording(Recording):
         sequence: its content, with the labels to use.
         mesh: the object's, its vertices as they are labelled.
         centroid: (3,) of the welded mesh.
+        n_vertices: of the hand model.
         files: that it was read from.
         overlaps: of the labels to use with those in the file, by side, where they are others.
     """
 
     def __init__(
-        self, sequence: Sequence, mesh: Mesh, centroid: np.ndarray, files: _Files, overlaps: dict[str, Any] | None
+        self,
+        sequence: Sequence,
+        mesh: Mesh,
+        centroid: np.ndarray,
+        n_vertices: int,
+        files: _Files,
+        overlaps: dict[str, Any] | None,
     ):
         self.right = GraspTrack.right(sequence)
         self.centroid = centroid
@@ -264,7 +275,9 @@ class GrabRecording(Recording):
         self._mesh = mesh
         self._files = files
         self._overlaps = overlaps
-        files.mesh(sequence.rhand.vtemp)  # of use at the end only, but missing it is a fault of this recording
+        # Of use at the end only, but missing it, or another hand's, is a fault of this recording.
+        if (n := len(files.mesh(sequence.rhand.vtemp).vertices)) != n_vertices:
+            raise UserError(f"{sequence.rhand.vtemp} has {n} vertices, the hand model {n_vertices}.")
 
     @property
     def inputs(self) -> dict[str, str]:

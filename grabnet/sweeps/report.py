@@ -6,6 +6,7 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
+import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -22,6 +23,7 @@ COLOURS = {DONE: "tab:blue", PRUNED: "tab:orange", FAILED: "tab:red", UNFINISHED
 Row = dict[str, str | float | None]
 
 
+@mpl.rc_context({"text.parse_math": False})  # names are no formulas
 def report(runs: Sequence[Run], objective: str, folder: Path) -> None:
     """Print the table and write both files into the sweep's folder."""
     keys = _keys(runs)
