@@ -181,7 +181,7 @@ def read_sequence(path: str | Path, objects: Iterable[str] | None = None) -> Seq
     _require(path, "the file", stored, (*_TRACKS, *_TEXTS, *_NUMBERS, "contact"))
     texts = {name: _text(path, name, stored[name], _LONGEST_TEXT) for name in _TEXTS}
     for name in ("sbj_id", "obj_name"):
-        if set(texts[name]) & set("/\\:") or texts[name].startswith("."):
+        if not texts[name].strip() or set(texts[name]) & set("/\\:") or texts[name].startswith("."):
             raise UserError(f"{path}: {name} is '{texts[name]}', which is no plain name.")
     numbers = {name: _number(path, name, stored[name]) for name in _NUMBERS}
     n_frames, n_comps = int(numbers["n_frames"]), int(numbers["n_comps"])
@@ -269,8 +269,8 @@ def _text(path: Path, name: str, value: Any, longest: int) -> str:
         raise UserError(f"{path}: {name} is {array.dtype} of shape {array.shape}, expected a text.")
     text = array.item()
     text = text.decode("latin1") if isinstance(text, bytes) else text
-    if not 0 < len(text) <= longest or printable(text) != text:
-        raise UserError(f"{path}: {name} is {text[:80]!r}; it must be of 1 to {longest} printable characters.")
+    if len(text) > longest or printable(text) != text:
+        raise UserError(f"{path}: {name} is {text[:80]!r}; it must be of at most {longest} printable characters.")
     return text
 
 

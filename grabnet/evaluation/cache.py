@@ -82,7 +82,8 @@ def _decoded(content: bytes) -> tuple[Arrays, list[str]]:
     """Return arrays, and the names of their rows."""
     facts = read_facts(content)
     texts = {name: np.array(values, str) for name, values in json.loads(facts["texts"]).items()}
-    return load(content) | texts, json.loads(facts["rows"])
+    # By name: in a file they lie in an order that changes from process to process.
+    return dict(sorted((load(content) | texts).items())), json.loads(facts["rows"])
 
 
 def _encoded(arrays: Arrays, rows: Sequence[str] = ()) -> bytes:

@@ -11,10 +11,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from grabnet.errors import UserError
-from grabnet.io.files import existing_file
+from grabnet.io.files import DISK_ERRORS, existing_file
 from grabnet.io.names import is_hidden
 
-# What zipfile and its decompressors raise for a file that is not what it should be; OSErrors have no number then.
+# What zipfile and its decompressors raise for a file that is not what it should be, besides OSErrors.
 DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -53,9 +53,9 @@ def opened_archive(path: str | Path, what: str, remedy: str) -> Iterator[zipfile
     except DAMAGE as error:
         raise UserError(f"{path} is {what} ({' '.join(str(error).split())[:200]}): {remedy}.") from None
     except OSError as error:
-        if error.errno is not None:
+        if error.errno in DISK_ERRORS:  # of a place that is written to within the block
             raise
-        raise UserError(f"{path} is {what} ({error}): {remedy}.") from None
+        raise UserError(f"{path} is {what} ({error.strerror or error}): {remedy}.") from None
 
 
 def members_of(archive: zipfile.ZipFile, path: str | Path, max_members: int, max_bytes: int) -> list[zipfile.ZipInfo]:
