@@ -13,6 +13,7 @@ _MAGIC = b"\x93NUMPY"
 _MAX_HEADER = 10_000  # bytes, as numpy has it
 _MAX_DIMS = 32
 _DTYPE = re.compile(r"[<>|=]?([?biufcSUO])(\d{0,9})")
+_MAX_ITEM = {"f": 8, "c": 16}  # bytes of a number: wider ones differ from machine to machine
 _SHAPE = r"\((?:\s*\d{1,18}L?\s*,)*(?:\s*\d{1,18}L?)?\s*\)"
 _ITEM = rf"'(descr|fortran_order|shape)'\s*:\s*('[^'\\]*'|True|False|{_SHAPE})"
 _HEADER = re.compile(rf"\{{\s*{_ITEM}\s*,\s*{_ITEM}\s*,\s*{_ITEM}\s*,?\s*\}}\s*")
@@ -68,9 +69,12 @@ def plain_dtype(code: str) -> np.dtype:
     if found is None or (found[1] in "SU" and not int(found[2] or 0)):
         raise ValueError(f"values of type {code[:20]!r}")
     try:
-        return np.dtype(code)
+        dtype = np.dtype(code)
     except TypeError:
         raise ValueError(f"values of type {code!r}") from None
+    if dtype.itemsize > _MAX_ITEM.get(dtype.kind, dtype.itemsize):
+        raise ValueError(f"values of type {code!r}")
+    return dtype
 
 
 def check_size(shape: Sequence[int], dtype: np.dtype, max_bytes: int) -> None:

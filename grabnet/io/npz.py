@@ -21,7 +21,7 @@ _FAULT = "not a readable .npz file", _REMEDY
 
 
 def read_npz(path: str | Path, max_bytes: int = MAX_BYTES) -> dict[str, Any]:
-    """Every array of an `.npz`.
+    """Every array of an `.npz`, in this machine's order of bytes.
 
     Arrays of Python objects are decoded by `decode_pickle`, and a single object (how numpy stores a dict) comes as
     itself.
@@ -73,7 +73,7 @@ def npz_rows(path: str | Path, name: str, rows: int) -> Iterator[np.ndarray]:
         if name not in members:
             raise UserError(f"{path} has no array {name}.")
         with archive.open(members[name]) as stream:
-            header = read_header(stream, 1 << 63)
+            header = read_header(stream, members[name].file_size)
             if header.dtype.hasobject or header.fortran or not header.shape:
                 raise UserError(f"{path}: {name} is no plain array of rows.")
             per_row = header._replace(shape=header.shape[1:]).n_bytes
@@ -81,11 +81,10 @@ def npz_rows(path: str | Path, name: str, rows: int) -> Iterator[np.ndarray]:
                 raise UserError(
                     f"{path}: {name} has rows of {per_row:,} bytes; at most {MAX_BYTES // rows:,} are read."
                 )
-            if header.n_bytes > members[name].file_size:
-                raise UserError(f"{path}: {name} ends before its {header.shape[0]:,} rows do: {_REMEDY}.")
             for start in range(0, header.shape[0], rows):
                 n = min(rows, header.shape[0] - start)
-                yield np.frombuffer(_exactly(stream, n * per_row), header.dtype).reshape(n, *header.shape[1:])
+                part = np.frombuffer(_exactly(stream, n * per_row), header.dtype)
+                yield _native(part).reshape(n, *header.shape[1:])
 
 
 def _name(member: zipfile.ZipInfo) -> str:
@@ -109,12 +108,18 @@ def _array(stream: IO[bytes], size: int, name: str, max_bytes: int) -> Any:
         array = np.frombuffer(_exactly(stream, header.n_bytes), header.dtype)
         if stream.read(1):
             raise ValueError("more bytes than its header says")
+        array = _native(array)
         check_text(array)
         return array.reshape(header.shape, order="F" if header.fortran else "C")
     except UserError:
         raise
     except DAMAGE as error:
         raise UserError(f"{name} is not a readable array ({error}): {_REMEDY}.") from None
+
+
+def _native(array: np.ndarray) -> np.ndarray:
+    """In the order of bytes of this machine, which torch takes alone."""
+    return array.astype(array.dtype.newbyteorder("="), copy=False)
 
 
 def _exactly(stream: IO[bytes], n: int) -> bytearray:

@@ -11,15 +11,18 @@ from typing import Any
 
 import yaml
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
 from grabnet.errors import UserError
 from grabnet.io.files import existing_file
 
 # Bytes of a state file; the largest, the card of a store of thousands of recordings, takes 1 MB.
 _MAX_BYTES = 64 << 20
-_MAX_YAML = 1 << 20  # of a run's config, read at 50 kB a second
+_MAX_YAML = 100_000  # of a run's config, ten times those that there are; YAML is read at 50 kB a second
 _MAX_DEPTH = 50
+_OPENING = (
+    yaml.FlowMappingStartToken, yaml.FlowSequenceStartToken, yaml.BlockMappingStartToken, yaml.BlockSequenceStartToken
+)  # fmt: skip
+_CLOSING = (yaml.FlowMappingEndToken, yaml.FlowSequenceEndToken, yaml.BlockEndToken)
 # A kind is one of
 #     str, bool, int (of 64 bits), float (any number), None for null, object for any value of JSON;
 #     a set of values, one of which it must be; a tuple of kinds, one of which it must be of;
@@ -85,20 +88,24 @@ def read_config(path: str | Path, remedy: str) -> DictConfig:
     path = existing_file(path, "Config", _MAX_YAML)
     try:
         text = path.read_bytes().decode("utf-8")
-        # Aliases make a short file a long config; saved ones have none.
-        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text, yaml.SafeLoader)):
-            raise ValueError("it has YAML aliases")
+        _scan(text)
         config = OmegaConf.create(text)
         _check(OmegaConf.to_container(config), {str: object}, "", 0)
-    except (ValueError, TypeError, OSError, RecursionError, yaml.YAMLError) as error:
-        raise UserError(f"{path} is damaged ({_reason(error)}): {remedy}.") from None
-    except (_MismatchError, OmegaConfBaseException, AttributeError, OverflowError) as error:
-        raise UserError(f"{path} holds no config ({_reason(error)}): {remedy}.") from None
+    except Exception as error:  # what reads YAML and makes configs of it raises many kinds
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise UserError(f"{path} is damaged, no config ({reason}): {remedy}.") from None
     return config
 
 
-def _reason(error: Exception) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__
+def _scan(text: str) -> None:
+    """Raise a ValueError for YAML with aliases, which make a short file a long config, or nested too deep."""
+    depth = 0
+    for token in yaml.scan(text, yaml.SafeLoader):
+        if isinstance(token, yaml.AliasToken):
+            raise ValueError("it has YAML aliases")
+        depth += isinstance(token, _OPENING) - isinstance(token, _CLOSING)
+        if depth > _MAX_DEPTH:
+            raise ValueError(f"it is nested more than {_MAX_DEPTH} deep")
 
 
 def _check(value: Any, kind: Kind, at: str, depth: int) -> None:
