@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,8 +11,9 @@ from grabnet.errors import UserError
 from grabnet.io.files import existing
 from grabnet.io.npz import read_npz
 from grabnet.io.pickles import read_pickle
+from grabnet.io.tensors import Shape, check_shapes
 
-Shapes = Mapping[str, tuple[int | str, ...]]
+Shapes = Mapping[str, Shape]
 
 _SKINNED: Shapes = {
     "v_template": ("V", 3),
@@ -68,18 +68,3 @@ def read_model(path: str | Path, shapes: Shapes, schema: str) -> dict[str, np.nd
     if not faces.size or faces.min() < 0 or faces.max() >= len(model["v_template"]):
         raise UserError(f"{path}: its {len(faces)} faces don't name vertices 0 … {len(model['v_template']) - 1}.")
     return {k: v.astype(np.float32) for k, v in model.items()} | {"faces": faces, "parents": parents}
-
-
-def check_shapes(path: str | Path, arrays: Mapping[str, Any], shapes: Shapes) -> None:
-    """Raise a `UserError` unless each array holds finite numbers in its shape; equal letters stand for equal sizes."""
-    sizes: dict[str, int] = {}
-    for name, shape in shapes.items():
-        actual = arrays[name].shape
-        fits = len(actual) == len(shape) and all(
-            n == (sizes.setdefault(s, n) if isinstance(s, str) else s) for s, n in zip(shape, actual, strict=True)
-        )
-        if not fits:
-            expected = tuple(sizes.get(s, s) if isinstance(s, str) else s for s in shape)
-            raise UserError(f"{path}: {name} has shape {actual}, expected {expected}.")
-        if arrays[name].dtype.kind not in "fiu" or not np.isfinite(arrays[name]).all():
-            raise UserError(f"{path}: {name} holds values that are not finite numbers.")

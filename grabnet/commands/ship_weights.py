@@ -11,6 +11,7 @@ from pathlib import Path
 from omegaconf import OmegaConf
 
 from grabnet.cli.parsed import make_parser, run_parsed
+from grabnet.errors import UserError
 from grabnet.io.files import replacing, sha256, write_json
 
 
@@ -31,8 +32,11 @@ def ship(run: Path, folder: Path) -> None:
 
     file = weights_file(run)
     network = load_network(file, HandModel.open())
+    record = read_provenance(file)
+    if missing := [name for name in ("config", "metrics") if not isinstance(record.get(name), dict)]:
+        raise UserError(f"{file} has no {' and no '.join(missing)} in its record: ship a run of train.py.")
     # Paths become relative to the current folder: those of this machine mean nothing elsewhere.
-    record = json.loads(json.dumps(read_provenance(file)).replace(f"{Path.cwd()}/", ""))
+    record = json.loads(json.dumps(record).replace(f"{Path.cwd()}/", ""))
     save_network(folder / FILE_NAME, network, record | {"rounded_from_sha256": sha256(file)}, torch.float16)
     with replacing(folder / "config.yaml") as temporary:
         OmegaConf.save(OmegaConf.create(record["config"]), temporary)

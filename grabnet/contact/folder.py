@@ -26,7 +26,8 @@ from grabnet.contact.coloured import write_labelled
 from grabnet.contact.sequences import Annotation, TouchedFrame
 from grabnet.data.sequences import Sequence, write_sequence
 from grabnet.geometry.mesh import Mesh
-from grabnet.io.files import leftovers, replacing
+from grabnet.io.files import replacing
+from grabnet.io.litter import clear_litter
 from grabnet.io.recipes import claim
 
 # Raise it when the files must be read otherwise.
@@ -50,8 +51,7 @@ class ContactFolder:
             UserError: the folder holds contact found by another recipe.
         """
         claim(self.root / "recipe.json", {"format": FORMAT, **recipe}, f"delete {self.root}, or choose another folder")
-        for leftover in leftovers(self.root, "*/*/*.*"):
-            leftover.unlink()
+        clear_litter(self.root, "*/*/*.*")
 
     def holds(self, name: str) -> bool:
         """Whether the contact of a recording is there."""

@@ -12,22 +12,23 @@ The same frames give the same bytes, whenever and wherever they are written.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save
+from safetensors.torch import save
 from torch import Tensor
 
 from grabnet.body.hand import HandParameters
 from grabnet.errors import UserError
 from grabnet.geometry.rotations import axis_angle_to_matrix
-from grabnet.io.files import existing, leftovers, write_bytes, write_json
+from grabnet.io.files import existing, write_bytes, write_json
+from grabnet.io.litter import clear_litter
 from grabnet.io.recipes import claim
+from grabnet.io.state import Kind, parsed_json, read_json
+from grabnet.io.tensors import check_tensors, fact, header_facts, read_tensors
 
 # Raise it when a store must be read otherwise.
 FORMAT = 4
@@ -37,6 +38,12 @@ _VALUES = {"global_orient": 3, "hand_pose": 45, "transl": 3, "object_orient": 3}
 # Only in stores that hold another, noisy hand for each frame: its difference from the true one in global_orient,
 # hand_pose and transl, as float16, which is wrong by a 2000th of the noise at most.
 _NOISE = {"noise": 51}
+_TYPES = {"frame": torch.int64, "noise": torch.float16}
+# What cards and headers of shards must say.
+_CARD: Kind = {"format": int, "subjects": [str], "objects": [str], "sequences": [str], "hand_sha256": str}
+_CARD |= {"provenance": {str: object}}
+_SHARD: Kind = {"subject": str, "object": str, "intent?": str}
+_REMEDY = "delete it and run the preprocessing again"
 
 
 @dataclass(frozen=True)
@@ -125,19 +132,23 @@ class FramesStore:
             UserError: no store there, unfinished, empty, of another format, or damaged.
         """
         root = Path(root)
-        card = _read_card(root)
-        if card.get("format") != FORMAT:
+        path = existing(root / "store.json", "Frames store")
+        card = read_json(path, {"format": object}, _REMEDY)
+        if card["format"] != FORMAT:
             raise UserError(
-                f"{root} is a frames store of format {card.get('format')}, and {FORMAT} is read here: delete it and "
-                f"make it again."
+                f"{root} is a frames store of format {card['format']}, and {FORMAT} is read here: delete it and make it "
+                "again."
             )
-        with _damage_told(root / "store.json"):
-            subjects, objects, sequences = card["subjects"], card["objects"], card["sequences"]
+        card = read_json(path, _CARD, _REMEDY)
+        subjects, objects, sequences = card["subjects"], card["objects"], card["sequences"]
         if not sequences:
-            raise UserError(f"The frames store {root} is empty: delete it and make it anew.")
-        with _damage_told(subjects_file := root / "subjects.safetensors"):
-            v_template = load_file(subjects_file)["v_template"]
-        return cls(subjects, objects, sequences, v_template, read_frames(root, subjects, objects, sequences), card)
+            raise UserError(f"The frames store {root} is empty: delete it and make it again.")
+        for name in sequences:
+            check_sequence_name(name, f"{path}: ")
+        stored = read_tensors(root / "subjects.safetensors", "File", _REMEDY)
+        check_tensors(stored, {"v_template": (len(subjects), "V", 3)}, _REMEDY)
+        frames = read_frames(root, subjects, objects, sequences)
+        return cls(subjects, objects, sequences, stored.values["v_template"], frames, card)
 
 
 def read_frames(root: str | Path, subjects: list[str], objects: list[str], sequences: list[str]) -> Frames:
@@ -147,6 +158,12 @@ def read_frames(root: str | Path, subjects: list[str], objects: list[str], seque
         UserError: a damaged shard.
     """
     shards = [_read_shard(shard_path(root, sequence)) for sequence in sequences]
+    for sequence, (header, _) in zip(sequences, shards, strict=True):
+        for what, known in (("subject", subjects), ("object", objects)):
+            if header[what] not in known:
+                raise UserError(
+                    f"{shard_path(root, sequence)} shows the {what} {header[what]}, which the store has not: {_REMEDY}."
+                )
     noisy = all("noise" in values for _, values in shards)
     columns = {name: torch.cat([values[name] for _, values in shards]) for name in (*_VALUES, "frame")}
     lengths = torch.tensor([len(values["frame"]) for _, values in shards])
@@ -161,6 +178,13 @@ def read_frames(root: str | Path, subjects: list[str], objects: list[str], seque
         sequence=per_frame(list(range(len(shards)))),
         noisy=torch.cat([_true_hand(values) + values["noise"].float() for _, values in shards]) if noisy else None,
     )
+
+
+def check_sequence_name(name: str, where: str = "") -> None:
+    """Raise a `UserError` for a name that is no path of two plain parts."""
+    parts = name.split("/")
+    if len(parts) != 2 or any(not p.strip() or p.startswith(".") or set(p) & set("\\:\0") or len(p) > 200 for p in parts):
+        raise UserError(f"{where}'{name}' cannot name a sequence: it must be like s1/mug_lift_1.")
 
 
 def shard_path(root: str | Path, sequence: str) -> Path:
@@ -201,13 +225,21 @@ def write_shard(
     write_bytes(shard_path(root, sequence), save(tensors, {"header": facts}))
 
 
-def read_header(path: str | Path) -> dict[str, Any]:
-    """What `write_shard` was told of a sequence besides its frames.
+def read_header(path: str | Path, kind: Kind | None = None) -> dict[str, Any]:
+    """What `write_shard` was given of a sequence besides its frames.
+
+    Args:
+        path: of the shard.
+        kind: of what it must hold further, as in `grabnet.io.state`.
 
     Raises:
         UserError: a damaged or missing shard, or one of another format.
     """
-    return _open_shard(Path(path), lambda file: None)[0]
+    path, facts = Path(path), header_facts(path)
+    try:
+        return parsed_json((facts or {})["header"], _SHARD | (kind or {}))
+    except (KeyError, ValueError) as error:
+        raise UserError(f"{path} is damaged or missing ({error}): {_REMEDY}.") from None
 
 
 def start_store(root: Path, recipe: Mapping[str, Any], remedy: str) -> None:
@@ -227,8 +259,7 @@ def start_store(root: Path, recipe: Mapping[str, Any], remedy: str) -> None:
     elif not path.exists():
         raise UserError(f"{root} holds frames without a record of what they were made from: {remedy}.")
     claim(path, recipe, remedy)
-    for leftover in leftovers(root, "*.*", "shards/*/*.*"):
-        leftover.unlink()
+    clear_litter(root, "*.*", "shards/*/*.*")
 
 
 def finish_store(
@@ -254,15 +285,12 @@ def finish_store(
     write_json(root / "store.json", facts | names | {"provenance": provenance})
 
 
-def _read_card(root: Path) -> dict[str, Any]:
-    path = existing(root / "store.json", "Frames store")
-    with _damage_told(path):
-        return dict(json.loads(path.read_text()))
-
-
 def _read_shard(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    header, values = _open_shard(path, lambda file: {name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118
-    return header, values | {"frame": values["frame"].long()}
+    stored = read_tensors(path, "Shard", _REMEDY)
+    widths = _VALUES | (_NOISE if "noise" in stored.values else {})
+    check_tensors(stored, {"frame": ("N",)} | {name: ("N", width) for name, width in widths.items()}, _REMEDY)
+    values = {name: stored.values[name].to(_TYPES.get(name, torch.float32)) for name in (*widths, "frame")}
+    return fact(stored, "header", _SHARD, _REMEDY), values
 
 
 def _true_hand(values: dict[str, Tensor]) -> Tensor:
@@ -276,16 +304,3 @@ def _noise(noisy: Tensor, true: Tensor) -> Tensor:
     reverse = turns * (1 - 2 * torch.pi / turns.norm(dim=2, keepdim=True).clamp_min(1e-8))
     is_nearer = (reverse - near).norm(dim=2, keepdim=True) < (turns - near).norm(dim=2, keepdim=True)
     return torch.cat([torch.where(is_nearer, reverse, turns).flatten(1), place], 1) - true
-
-
-def _open_shard(path: Path, read: Callable[[Any], Any]) -> tuple[dict[str, Any], Any]:
-    with _damage_told(path), safe_open(path, "pt") as file:
-        return json.loads(file.metadata()["header"]), read(file)
-
-
-@contextmanager
-def _damage_told(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
-        raise UserError(f"{path} is damaged or missing ({error}); delete it and run the preprocessing again.") from None

@@ -17,6 +17,7 @@ from grabnet.geometry.nearest import GROUP, by_neighbourhood
 from grabnet.geometry.placed import PlacedObjects
 from grabnet.geometry.sdf_grid import AtlasConfig, SDFGrid
 from grabnet.io.files import existing, sha256
+from grabnet.io.names import originals
 
 OBJECT_MESHES = Path("tools/object_meshes/contact_meshes")  # GRAB's own layout, below its root
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf")
@@ -98,7 +99,7 @@ def object_files(folder: str | Path) -> dict[str, Path]:
         UserError: no such folder.
     """
     folder = existing(folder, "Object folder (objects.dir)")
-    return {p.stem: p for p in sorted(folder.iterdir()) if p.suffix.lower() in MESH_SUFFIXES}
+    return {p.stem: p for p in originals(folder.iterdir(), folder) if p.suffix.lower() in MESH_SUFFIXES}
 
 
 def _stacked(rows: Sequence[Tensor]) -> Tensor:

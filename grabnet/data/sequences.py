@@ -18,7 +18,7 @@ from torch import Tensor
 from grabnet.body.hand import HandParameters
 from grabnet.body.skeleton import JOINTS, N_PARTS
 from grabnet.body.whole import BodyParameters
-from grabnet.errors import UserError
+from grabnet.errors import UserError, printable
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.io.files import replacing
@@ -161,6 +161,8 @@ _TRACKS = {
 }
 _TEXTS = ("gender", "sbj_id", "obj_name", "motion_intent")
 _NUMBERS = ("framerate", "n_comps", "n_frames")
+# Characters of a name, and of a path.
+_LONGEST_TEXT, _LONGEST_PATH = 100, 1000
 
 
 def read_sequence(path: str | Path, objects: Iterable[str] | None = None) -> Sequence:
@@ -177,9 +179,14 @@ def read_sequence(path: str | Path, objects: Iterable[str] | None = None) -> Seq
     path = Path(path)
     stored = read_npz(path)
     _require(path, "the file", stored, (*_TRACKS, *_TEXTS, *_NUMBERS, "contact"))
-    texts = {name: str(stored[name]) for name in _TEXTS}
+    texts = {name: _text(path, name, stored[name], _LONGEST_TEXT) for name in _TEXTS}
+    for name in ("sbj_id", "obj_name"):
+        if not texts[name].strip() or set(texts[name]) & set("/\\:") or texts[name].startswith("."):
+            raise UserError(f"{path}: {name} is '{texts[name]}', which is no plain name.")
     numbers = {name: _number(path, name, stored[name]) for name in _NUMBERS}
     n_frames, n_comps = int(numbers["n_frames"]), int(numbers["n_comps"])
+    if (n_frames, n_comps) != (numbers["n_frames"], numbers["n_comps"]):
+        raise UserError(f"{path}: n_frames or n_comps is no whole number.")
     if objects is not None and texts["obj_name"] not in set(objects):
         known = ", ".join(sorted(objects))
         raise UserError(f"{path} shows '{texts['obj_name']}', an object without a mesh; there are {known or 'none'}.")
@@ -228,7 +235,8 @@ def _read_track(path: Path, name: str, content: Any, n_frames: int, n_comps: int
         key: _frames(path, f"{name} {key}", content["params"][key], n_frames, n_comps if width == "C" else width)
         for key, width in stored.widths.items()
     }
-    return stored.kind(*values.values(), _inside(str(content[stored.path]), f"{path}: {name} {stored.path}"))
+    relative = _text(path, f"{name} {stored.path}", content[stored.path], _LONGEST_PATH)
+    return stored.kind(*values.values(), _inside(relative, f"{path}: {name} {stored.path}"))
 
 
 def _read_contact(path: Path, stored: Any, n_frames: int) -> ContactTrack:
@@ -255,10 +263,21 @@ def _require(path: Path, where: str, stored: Any, keys: Iterable[str]) -> None:
         raise UserError(f"{path} lacks {', '.join(missing)} in {where}: it is no sequence in GRAB's format.")
 
 
+def _text(path: Path, name: str, value: Any, longest: int) -> str:
+    array = np.asarray(value)
+    if array.dtype.kind not in "US" or array.size != 1:
+        raise UserError(f"{path}: {name} is {array.dtype} of shape {array.shape}, expected a text.")
+    text = array.item()
+    text = text.decode("latin1") if isinstance(text, bytes) else text
+    if len(text) > longest or printable(text) != text:
+        raise UserError(f"{path}: {name} is {text[:80]!r}; it must be of at most {longest} printable characters.")
+    return text
+
+
 def _number(path: Path, name: str, value: Any) -> float:
     array = np.asarray(value)
     if array.size != 1 or array.dtype.kind not in "iuf" or not 0 < array.item() < np.inf:
-        raise UserError(f"{path}: {name} is {value!r}, expected a positive number.")
+        raise UserError(f"{path}: {name} is {str(array)[:80]}, expected a positive number.")
     return float(array.item())
 
 

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import safe_open
-from safetensors.numpy import save
+from safetensors.numpy import load, save
 
-from grabnet.io.cache import load_or_build
-from grabnet.io.files import sha256, write_bytes, write_json
+from grabnet.io.cache import load_or_build, read_cached, write_cached
+from grabnet.io.files import sha256
+from grabnet.io.tensors import read_facts
 
 # Part of every key: raise it when the same content and settings would give other results.
-FORMAT = 4
+FORMAT = 5
 
 Arrays = dict[str, np.ndarray]
 
@@ -33,16 +32,13 @@ class Cache:
 
     def get(self, kind: str, key: Sequence[str | np.ndarray], compute: Callable[[], Arrays]) -> Arrays:
         """Return arrays from `compute`, which is called only where they are not there for this key."""
-        return load_or_build(self.path(kind, key), lambda path: _load(path)[0], compute, _save)
+        return load_or_build(self.path(kind, key), lambda content: _decoded(content)[0], compute, _encoded)
 
     def get_json(self, kind: str, key: Sequence[str | np.ndarray], compute: Callable[[], Any]) -> Any:
         """Return a value of JSON's types, as `get` does arrays."""
 
-        def load(path: Path) -> Any:
-            return json.loads(path.read_text(encoding="utf-8"))
-
         path = self.path(kind, key).with_suffix(".json")
-        return load_or_build(path, load, compute, lambda value, path: write_json(path, value))
+        return load_or_build(path, json.loads, compute, lambda value: json.dumps(value).encode())
 
     def path(self, kind: str, key: Sequence[str | np.ndarray]) -> Path:
         """Return the file of a key."""
@@ -58,7 +54,7 @@ class ResultTable:
 
     def __init__(self, path: Path):
         self._path = path
-        arrays, names = load_or_build(path, _load, lambda: ({}, []), lambda *_: None)
+        arrays, names = read_cached(path, _decoded) or ({}, [])
         self._rows = {name: {k: array[i] for k, array in arrays.items()} for i, name in enumerate(names)}
         self._changed = False
 
@@ -77,25 +73,21 @@ class ResultTable:
 
     def save(self) -> None:
         """Write what was added."""
-        if not self._changed:
-            return
-        try:
-            _save(self.rows(list(self._rows)), self._path, list(self._rows))
-        except OSError as error:
-            warnings.warn(f"{self._path} cannot be written ({error}): it is computed again next time.", stacklevel=2)
+        if self._changed:
+            write_cached(self._path, _encoded(self.rows(list(self._rows)), list(self._rows)))
         self._changed = False
 
 
-def _load(path: Path) -> tuple[Arrays, list[str]]:
+def _decoded(content: bytes) -> tuple[Arrays, list[str]]:
     """Return arrays, and the names of their rows."""
-    with safe_open(path, "np") as file:
-        about = file.metadata() or {}
-        texts = {name: np.array(values, str) for name, values in json.loads(about.get("texts", "{}")).items()}
-        return {name: file.get_tensor(name) for name in file.keys()} | texts, json.loads(about.get("rows", "[]"))  # noqa: SIM118
+    facts = read_facts(content)
+    texts = {name: np.array(values, str) for name, values in json.loads(facts["texts"]).items()}
+    # By name: in a file they lie in an order that changes from process to process.
+    return dict(sorted((load(content) | texts).items())), json.loads(facts["rows"])
 
 
-def _save(arrays: Arrays, path: Path, rows: Sequence[str] = ()) -> None:
-    """Write numbers as tensors, texts and the names of rows into the file's header."""
+def _encoded(arrays: Arrays, rows: Sequence[str] = ()) -> bytes:
+    """Numbers as tensors; texts and the names of rows in the header."""
     texts = {name: array.tolist() for name, array in arrays.items() if array.dtype.kind == "U"}
     numbers = {name: np.asarray(array, order="C") for name, array in arrays.items() if name not in texts}
-    write_bytes(path, save(numbers, {"rows": json.dumps(list(rows)), "texts": json.dumps(texts)}))
+    return save(numbers, {"rows": json.dumps(list(rows)), "texts": json.dumps(texts)})

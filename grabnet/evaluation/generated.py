@@ -13,7 +13,6 @@ taken to have its vertices; of others, what needs to know the fingers is not mea
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -30,7 +29,9 @@ from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.geometry.openings import boundary_loops
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.io.files import existing, sha256
+from grabnet.io.names import originals
 from grabnet.io.npz import read_npz
+from grabnet.io.state import read_json
 
 GRASPS = "grasps.npz"
 _PARAMETERS = {"global_orient": 3, "hand_pose": 45, "transl": 3}
@@ -75,7 +76,7 @@ def read_grasps(folder: Path, name: str, file: Path, hand: HandModel, n: int) ->
     if (place / GRASPS).exists():
         _check_mesh(place, file)
         return _posed(place / GRASPS, hand, n)
-    files = sorted(p for p in place.iterdir() if p.suffix.lower() in MESH_SUFFIXES and p.is_file())
+    files = [p for p in originals(place.iterdir(), place) if p.suffix.lower() in MESH_SUFFIXES and p.is_file()]
     if not files:
         raise UserError(f"{place} holds neither {GRASPS} nor hand meshes ({', '.join(MESH_SUFFIXES)}).")
     meshes = [load_mesh(f, weld=False) for f in files[:n]]
@@ -94,10 +95,8 @@ def _check_mesh(place: Path, file: Path) -> None:
     record = place / "grasps.json"
     if not record.exists():
         return
-    try:
-        made_for = json.loads(record.read_text(encoding="utf-8")).get("mesh_sha256")
-    except (OSError, ValueError, AttributeError) as error:
-        raise UserError(f"{record} cannot be read ({error}); remove it, or make the grasps again.") from None
+    kind = {"mesh_sha256?": (str, None)}
+    made_for = read_json(record, kind, "remove it, or make the grasps again").get("mesh_sha256")
     if made_for not in (None, sha256(file)):
         raise UserError(f"The grasps in {place} were made for another mesh than {file}: make them for that one.")
 

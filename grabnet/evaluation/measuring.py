@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable, Iterable, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import torch
 from joblib import Parallel, delayed
 from rich.progress import Progress
 
+from grabnet.errors import UserError
 from grabnet.evaluation.cache import Arrays, Cache, ResultTable
 from grabnet.evaluation.hands import Hands
 from grabnet.evaluation.protocol import PerGrasp
@@ -53,6 +55,7 @@ def measured(tasks: Sequence[Task], cache: Cache, processes: int) -> dict[Hashab
         processes: at once; 1 for none but this.
 
     Raises:
+        UserError: a process was killed.
         ValueError: two tasks of one key, or two protocols of one task that give a result of one title.
     """
     if len({task.key for task in tasks}) < len(tasks):
@@ -134,9 +137,15 @@ def _computed(portions: Sequence[Task], processes: int) -> Iterable[tuple[int, l
     jobs = (delayed(_measure)(number, task, processes > 1) for number, task in enumerate(portions))
     with Progress(transient=True) as progress:
         bar = progress.add_task("Measuring grasps", total=sum(len(task.hands) for task in portions))
-        for number, results in pool(jobs):
-            yield number, results
-            progress.advance(bar, len(portions[number].hands))
+        try:
+            for number, results in pool(jobs):
+                yield number, results
+                progress.advance(bar, len(portions[number].hands))
+        except BrokenProcessPool:
+            raise UserError(
+                "A process that measured grasps was killed, perhaps for want of memory. What was measured is kept: run "
+                f"the same command again, with fewer processes than {processes}."
+            ) from None
 
 
 _target: GraspTarget | None = None  # the last object of this process: portions come object by object

@@ -21,6 +21,7 @@ from grabnet.evaluation.reporting.page import write_report
 from grabnet.evaluation.reporting.tables import write_csv, write_grasps_csv, write_json_tables, write_latex
 from grabnet.evaluation.summary import failures, figures, unexpected_order
 from grabnet.io.files import sha256
+from grabnet.io.litter import clear_litter
 from grabnet.io.provenance import provenance
 
 
@@ -34,13 +35,14 @@ def run(config: EvaluationConfig) -> int:
     Raises:
         UserError: data, networks or grasps that are missing or do not fit.
     """
+    output = Path(config.output).expanduser()
+    clear_litter(output, "*.*", "contact/*/*.*")
     torch.set_num_threads(torch.get_num_threads())  # said explicitly, MKL keeps to it: sums in the same order each time
     inputs = EvaluationInputs(config)
     protocols = protocols_of(inputs)
     methods = make_methods(inputs)
     measure(inputs, protocols, methods)
     findings = _findings(inputs, protocols, methods)
-    output = Path(config.output).expanduser()
     write_json_tables(output / "metrics.json", findings)
     write_csv(output / "metrics.csv", findings)
     write_grasps_csv(output / "grasps.csv", findings)

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors import safe_open
-from safetensors.torch import save
+from safetensors.torch import load, save
 from torch import Tensor
 
 from grabnet.geometry.conventions import Conventions
@@ -17,10 +16,11 @@ from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.sdf_sampling import sample
 from grabnet.io.cache import default_cache, load_or_build
-from grabnet.io.files import sha256, write_bytes
+from grabnet.io.files import sha256
+from grabnet.io.tensors import read_facts
 
 # Part of the cache key: raise it when the same mesh and config would give other values.
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass(frozen=True)
@@ -98,27 +98,26 @@ class SDFGrid:
         config = config or AtlasConfig()
         key = sha256(mesh.sha256, json.dumps(asdict(config), sort_keys=True), str(FORMAT))
         path = Path(cache_dir or default_cache()) / f"sdf-{key[:32]}.safetensors"
-        return load_or_build(path, cls.load, lambda: cls.build(mesh, config, device), cls.save)
+        return load_or_build(path, cls.from_bytes, lambda: cls.build(mesh, config, device), cls.to_bytes)
 
-    def save(self, path: str | Path) -> None:
-        """Write as safetensors, atomically."""
+    def to_bytes(self) -> bytes:
+        """As a safetensors file."""
         levels = {"fine": self.fine, "coarse": self.coarse}
         lattices = {name: json.dumps([level.origin, level.spacing]) for name, level in levels.items()}
-        write_bytes(path, save({name: level.values for name, level in levels.items()}, lattices))
+        return save({name: level.values for name, level in levels.items()}, lattices)
 
     @classmethod
-    def load(cls, path: str | Path) -> SDFGrid:
-        """Read what `save` wrote.
+    def from_bytes(cls, content: bytes) -> SDFGrid:
+        """Read what `to_bytes` wrote.
 
         Raises:
-            SafetensorError, OSError, KeyError, ValueError, TypeError: not such a file.
+            SafetensorError, KeyError, ValueError, TypeError: not such content.
         """
-        with safe_open(path, "pt") as file:
-            lattices = file.metadata() or {}
-            levels = []
-            for name in ("fine", "coarse"):
-                (x, y, z), spacing = json.loads(lattices[name])
-                levels.append(Level((float(x), float(y), float(z)), float(spacing), file.get_tensor(name)))
+        values, lattices = load(content), read_facts(content)
+        levels = []
+        for name in ("fine", "coarse"):
+            (x, y, z), spacing = json.loads(lattices[name])
+            levels.append(Level((float(x), float(y), float(z)), float(spacing), values[name]))
         return cls(*levels)
 
 

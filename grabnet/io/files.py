@@ -7,7 +7,6 @@ import hashlib
 import json
 import os
 import shutil
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from grabnet.errors import UserError
+from grabnet.io.litter import clear_litter, temporary_beside
 
 # What a disk says that takes no more, and a place where no folder can be made.
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -31,18 +31,13 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
-    try:
+    with temporary_beside(path) as temporary:
         yield temporary
-        # mkstemp makes files private; what we publish follows the user's umask like any other file.
+        # Temporary files are private; what we publish follows the user's umask like any other file.
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
         temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -63,8 +58,8 @@ def filling(folder: str | Path, names: Sequence[str]) -> Iterator[Path]:
             "another folder."
         )
     folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
+    clear_litter(folder.parent, folder.name, contents=names)
+    with temporary_beside(folder, is_folder=True) as temporary:
         yield temporary
         folder.mkdir(exist_ok=True)
         for name in reversed(names):
@@ -72,8 +67,6 @@ def filling(folder: str | Path, names: Sequence[str]) -> Iterator[Path]:
         for name in names:
             if (temporary / name).exists():
                 (temporary / name).replace(folder / name)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _remove(path: Path) -> None:
@@ -81,16 +74,6 @@ def _remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)
-
-
-def leftovers(folder: str | Path, *names: str) -> list[Path]:
-    """What processes that were killed within `replacing` left half-written of files of these names below a folder.
-
-    Args:
-        names: `<stem>.<suffix>`, either of which may be *, after folders, which may be * as well.
-    """
-    patterns = [Path(name).parent / f".{Path(name).stem}-????????{Path(name).suffix}" for name in names]
-    return [path for pattern in patterns for path in Path(folder).glob(str(pattern)) if path.is_file()]
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:
@@ -127,11 +110,28 @@ def sha256(*parts: bytes | str | np.ndarray | Path) -> str:
 def existing(path: str | Path, what: str) -> Path:
     """`path` when it exists; otherwise a `UserError` that lists what lies beside it."""
     path = Path(path)
-    if path.exists():
-        return path
-    parent = path.parent
-    if not parent.is_dir():
+    try:
+        if path.exists():
+            return path
+        has_folder = (parent := path.parent).is_dir()
+    except (OSError, ValueError) as error:  # a name too long, a folder that must not be entered, a NUL
+        raise UserError(f"{what} {path} cannot be opened ({getattr(error, 'strerror', error)}).") from None
+    if not has_folder:
         raise UserError(f"{what} {path} does not exist, nor does its folder {parent}.")
     beside = sorted(p.name for p in parent.iterdir() if not p.name.startswith("."))
     listing = ", ".join(beside[:12]) + (", …" if len(beside) > 12 else "")
     raise UserError(f"{what} {path} does not exist; {parent} holds {listing or 'nothing'}.")
+
+
+def existing_file(path: str | Path, what: str, max_bytes: int | None = None) -> Path:
+    """`path` when it is a regular file of at most `max_bytes`: no folder, and no pipe or device, which may never end.
+
+    Raises:
+        UserError: it is not.
+    """
+    path = existing(path, what)
+    if not path.is_file():
+        raise UserError(f"{what} {path} is no regular file: name the file itself.")
+    if max_bytes is not None and (size := path.stat().st_size) > max_bytes:
+        raise UserError(f"{what} {path} has {size:,} bytes; at most {max_bytes:,} are read.")
+    return path

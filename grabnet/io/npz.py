@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zipfile
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
@@ -11,40 +10,34 @@ from typing import IO, Any
 import numpy as np
 
 from grabnet.errors import UserError
-from grabnet.io.files import existing
+from grabnet.io.archives import DAMAGE, members_of, opened_archive
+from grabnet.io.files import existing_file
+from grabnet.io.npy import check_text, read_header
 from grabnet.io.pickles import MAX_BYTES, decode_pickle
 
-# What zipfile and numpy raise for files that are not what they should be.
-_DAMAGE = (OSError, ValueError, EOFError, KeyError, NotImplementedError, RuntimeError, zipfile.BadZipFile, zlib.error)
+_MAX_ARRAYS = 1000
+_REMEDY = "make or download it again"
+_FAULT = "not a readable .npz file", _REMEDY
 
 
 def read_npz(path: str | Path, max_bytes: int = MAX_BYTES) -> dict[str, Any]:
-    """Every array of an `.npz`.
+    """Every array of an `.npz`, in this machine's order of bytes.
 
     Arrays of Python objects are decoded by `decode_pickle`, and a single object (how numpy stores a dict) comes as
     itself.
 
     Args:
+        path: of the file.
         max_bytes: that the arrays may take together; a small file can be made to unpack to any size.
 
     Raises:
         UserError: not an npz file, too large unpacked, or it holds objects that are not plain data.
     """
-    path = existing(path, "Archive")
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-            if (size := sum(m.file_size for m in members)) > max_bytes:
-                raise UserError(f"{path} unpacks to {size:,} bytes; at most {max_bytes:,} are read.")
-            arrays = {}
-            for member in members:
-                with archive.open(member) as stream:
-                    arrays[member.filename.removesuffix(".npy")] = _array(stream, f"{path} ({member.filename})")
-            return arrays
-    except UserError:
-        raise
-    except _DAMAGE as error:
-        raise UserError(f"{path} is not a readable .npz file ({error}).") from None
+    with opened_archive(path, *_FAULT) as archive:
+        return {
+            _name(member): _member(archive, member, path, max_bytes)
+            for member in members_of(archive, path, _MAX_ARRAYS, max_bytes)
+        }
 
 
 def read_npy(path: str | Path) -> Any:
@@ -53,14 +46,9 @@ def read_npy(path: str | Path) -> Any:
     Raises:
         UserError: not an npy file, or it holds objects that are not plain data.
     """
-    path = existing(path, "Array")
-    try:
-        with path.open("rb") as stream:
-            return _array(stream, str(path))
-    except UserError:
-        raise
-    except _DAMAGE as error:
-        raise UserError(f"{path} is not a readable .npy file ({error}).") from None
+    path = existing_file(path, "Array")
+    with path.open("rb") as stream:
+        return _array(stream, path.stat().st_size, str(path), MAX_BYTES)
 
 
 def npz_names(path: str | Path) -> list[str]:
@@ -69,12 +57,9 @@ def npz_names(path: str | Path) -> list[str]:
     Raises:
         UserError: not an npz file.
     """
-    path = existing(path, "Archive")
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return [name.removesuffix(".npy") for name in archive.namelist()]
-    except _DAMAGE as error:
-        raise UserError(f"{path} is not a readable .npz file ({error}).") from None
+    with opened_archive(path, *_FAULT) as archive:
+        # Sizes are checked where arrays are read.
+        return [_name(member) for member in members_of(archive, path, _MAX_ARRAYS, 1 << 63)]
 
 
 def npz_rows(path: str | Path, name: str, rows: int) -> Iterator[np.ndarray]:
@@ -83,42 +68,65 @@ def npz_rows(path: str | Path, name: str, rows: int) -> Iterator[np.ndarray]:
     Raises:
         UserError: no such archive or array, an array of objects, or rows too large to be read.
     """
-    path = existing(path, "Archive")
-    try:
-        with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as stream:
-            shape, fortran, dtype = _header(stream)
-            if dtype.hasobject or fortran or not shape:
+    with opened_archive(path, *_FAULT) as archive:
+        members = {_name(m): m for m in members_of(archive, path, _MAX_ARRAYS, 1 << 63)}
+        if name not in members:
+            raise UserError(f"{path} has no array {name}.")
+        with archive.open(members[name]) as stream:
+            header = read_header(stream, members[name].file_size)
+            if header.dtype.hasobject or header.fortran or not header.shape:
                 raise UserError(f"{path}: {name} is no plain array of rows.")
-            per_row = dtype.itemsize * int(np.prod(shape[1:]))
+            per_row = header._replace(shape=header.shape[1:]).n_bytes
             if rows * per_row > MAX_BYTES:
                 raise UserError(
                     f"{path}: {name} has rows of {per_row:,} bytes; at most {MAX_BYTES // rows:,} are read."
                 )
-            for start in range(0, shape[0], rows):
-                n = min(rows, shape[0] - start)
-                data = stream.read(n * per_row)
-                yield np.frombuffer(data, dtype).reshape(n, *shape[1:])
-    except KeyError:
-        raise UserError(f"{path} has no array {name}.") from None
+            for start in range(0, header.shape[0], rows):
+                n = min(rows, header.shape[0] - start)
+                part = np.frombuffer(_exactly(stream, n * per_row), header.dtype)
+                yield _native(part).reshape(n, *header.shape[1:])
+
+
+def _name(member: zipfile.ZipInfo) -> str:
+    return member.filename.removesuffix(".npy")
+
+
+def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, path: str | Path, max_bytes: int) -> Any:
+    with archive.open(member) as stream:
+        return _array(stream, member.file_size, f"{path} ({member.filename})", max_bytes)
+
+
+def _array(stream: IO[bytes], size: int, name: str, max_bytes: int) -> Any:
+    """The array of a stream of so many bytes."""
+    try:
+        header = read_header(stream, max_bytes)
+        if header.dtype.hasobject:
+            array = decode_pickle(stream.read(), name)
+            return array.item() if isinstance(array, np.ndarray) and array.shape == () else array
+        if not size - 12_000 <= header.n_bytes <= size:
+            raise ValueError(f"an array of {header.n_bytes:,} bytes in {size:,}")
+        array = np.frombuffer(_exactly(stream, header.n_bytes), header.dtype)
+        if stream.read(1):
+            raise ValueError("more bytes than its header says")
+        array = _native(array)
+        check_text(array)
+        return array.reshape(header.shape, order="F" if header.fortran else "C")
     except UserError:
         raise
-    except _DAMAGE as error:
-        raise UserError(f"{path} is not a readable .npz file ({error}).") from None
+    except DAMAGE as error:
+        raise UserError(f"{name} is not a readable array ({error}): {_REMEDY}.") from None
 
 
-def _array(stream: IO[bytes], name: str) -> Any:
-    shape, fortran, dtype = _header(stream)
-    content = stream.read()
-    if dtype.hasobject:
-        array = decode_pickle(content, name)
-        return array.item() if isinstance(array, np.ndarray) and array.shape == () else array
-    # A copy, since what frombuffer gives can't be written to.
-    return np.frombuffer(content, dtype, count=int(np.prod(shape))).reshape(shape, order="F" if fortran else "C").copy()
+def _native(array: np.ndarray) -> np.ndarray:
+    """In the order of bytes of this machine, which torch takes alone."""
+    return array.astype(array.dtype.newbyteorder("="), copy=False)
 
 
-def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
-    version = np.lib.format.read_magic(stream)
-    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
-    if read is None:
-        raise ValueError(f"array format {version}")
-    return read(stream)
+def _exactly(stream: IO[bytes], n: int) -> bytearray:
+    """The next n bytes, in memory that can be written to; more is taken only as far as there are bytes."""
+    content = bytearray()
+    while len(content) < n and (block := stream.read(min(1 << 24, n - len(content)))):
+        content += block
+    if len(content) < n:
+        raise ValueError(f"{len(content):,} bytes instead of {n:,}")
+    return content

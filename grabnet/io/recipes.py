@@ -9,6 +9,7 @@ from typing import Any
 
 from grabnet.errors import UserError
 from grabnet.io.files import write_json
+from grabnet.io.state import read_json
 
 
 def claim(path: Path, recipe: Mapping[str, Any], remedy: str) -> None:
@@ -25,10 +26,7 @@ def claim(path: Path, recipe: Mapping[str, Any], remedy: str) -> None:
     if not path.exists():
         write_json(path, recipe)
         return
-    try:
-        started = dict(json.loads(path.read_text(encoding="utf-8")))
-    except (ValueError, TypeError) as error:
-        raise UserError(f"{path} is damaged ({error}): {remedy}.") from None
+    started = read_json(path, {str: object}, remedy)
     refuse_other(path.parent, started, json.loads(json.dumps(recipe)), remedy)
 
 

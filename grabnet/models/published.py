@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import torch
 from torch import Tensor, nn
 
 from grabnet.errors import UserError
 from grabnet.geometry.conventions import Conventions
-from grabnet.io.files import existing
+from grabnet.io.checkpoints import read_checkpoint
 
 # What they were trained with (ref. 6 and 7).
 CONVENTIONS = Conventions(centre="box", distance_to="samples", basis_to="samples", rotate=False)
@@ -51,12 +50,8 @@ class PublishedWeights:
     """
 
     def __init__(self, path: str | Path, names: Mapping[str, str]):
-        self.path, self.names = existing(path, "Published checkpoint"), names
-        try:
-            stored = torch.load(self.path, map_location="cpu", weights_only=True)
-        except Exception as error:  # torch raises many kinds
-            reason = (str(error) or type(error).__name__).splitlines()[0]
-            raise UserError(f"{path} is no readable checkpoint of plain tensors ({reason}).") from None
+        self.path, self.names = Path(path), names
+        stored = read_checkpoint(path, "Published checkpoint", "it must hold plain tensors: download it again")
         if not isinstance(stored, Mapping) or not all(isinstance(value, Tensor) for value in stored.values()):
             raise UserError(f"{path} is no state dict: it must hold tensors by name, as the published files do.")
         self.tensors = {name: value for name, value in stored.items() if not name.startswith(_IGNORED)}
@@ -86,6 +81,8 @@ class PublishedWeights:
         if told := [f"{what} {', '.join(names)}" for what, names in faults.items() if names]:
             raise UserError(f"{self.path} is no published {type(network).__name__}: it {'; it '.join(told)}.")
         weights = {own: self.tensors[name] for name, own in ours.items()}
+        if bad := [self._published(own) for own, value in weights.items() if not value.isfinite().all()]:
+            raise UserError(f"{self.path} is no published {type(network).__name__}: its {bad[0]} is not finite.")
         network.load_state_dict(weights, strict=False)  # all names were checked; our basis is not among them
 
     def _published(self, name: str) -> str | None:

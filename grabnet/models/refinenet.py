@@ -16,6 +16,8 @@ from grabnet.models.generator import SavedNetwork
 from grabnet.models.layers import BatchNorm, Head, ResidualBlock, concatenate
 from grabnet.models.published import CONVENTIONS, REFINENET, PublishedWeights
 
+_MAX_ITERATIONS = 100
+
 
 class RefineNet(SavedNetwork):
     """Three residual iterations with shared weights; the hand is posed and measured anew between them.
@@ -34,8 +36,11 @@ class RefineNet(SavedNetwork):
         self, hand: HandModel, iterations: int = 3, width: int = 512, n_hidden: int = 256, dropout: float = 0.3
     ):
         super().__init__()
-        if iterations < 1:
-            raise UserError(f"iterations is {iterations}; RefineNet needs at least 1 to correct anything.")
+        if iterations not in range(1, _MAX_ITERATIONS + 1):
+            raise UserError(
+                f"iterations is {iterations}; RefineNet needs at least 1 to correct anything, and {_MAX_ITERATIONS} at "
+                "most."
+            )
         self.hand = hand
         self.iterations = iterations
         n_vertices, n_joints = len(hand.v_template), len(hand.parents)

@@ -131,4 +131,4 @@ def _newest(runs: str | Path, from_scratch: bool = False) -> dict[str, Path]:
 
 def _went_on(path: Path, kind: str) -> bool:
     """Whether a network's training began with a trained one of its kind."""
-    return kind in read_provenance(path).get("trained_from", {})
+    return kind in (read_provenance(path).get("trained_from") or {})

@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
 from grabnet.geometry.conventions import Conventions
 from grabnet.io.files import existing, sha256, write_bytes
+from grabnet.io.state import Finite, Kind, parsed_json
+from grabnet.io.tensors import Tensors, check_tensors, fact, header_facts, read_tensors
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.generator import SavedNetwork
 from grabnet.models.refinenet import RefineNet
@@ -23,6 +25,13 @@ from grabnet.models.refinenet import RefineNet
 FILE_NAME = "model.safetensors"
 # Every network that a weights file may name. A file never names a place to import from.
 NETWORKS: dict[str, type[SavedNetwork]] = {"CoarseNet": CoarseNet, "RefineNet": RefineNet}
+_REMEDY = "train it again"
+# Of the header.
+_SIZES: Kind = {str: Finite(0)}
+_CONVENTIONS: Kind = {"object_points?": int, "points_in_use?": int, "rotate?": bool, "hand?": (str, None)}
+_PROVENANCE: Kind = {"trained_from?": ({str: object}, None), "hand_sha256?": (str, None)}
+# Points of an object that conventions may name: fifty times what any network was trained with.
+_MAX_POINTS = 1_000_000
 
 
 def save_network(
@@ -61,24 +70,24 @@ def load_network(path: str | Path, hand: HandModel | None = None, kind: str | No
     Raises:
         UserError: unreadable, another network, trained with another hand, or tensors that do not fit the header.
     """
-    with _opened(path) as file:
-        header = file.metadata() or {}
-        held = header.get("network")
-        if held not in NETWORKS or kind not in (None, held):
-            known = kind or f"one of {', '.join(NETWORKS)}"
-            raise UserError(f"{path} holds {held or 'no grabnet network'}; it must hold {known}.")
-        if hand is not None:
-            check_hand(path, hand)
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    stored = read_tensors(weights_file(path), "Checkpoint", _REMEDY)
+    held = stored.facts.get("network")
+    if held not in NETWORKS or kind not in (None, held):
+        known = kind or f"one of {', '.join(NETWORKS)}"
+        raise UserError(f"{path} holds {held or 'no grabnet network'}; it must hold {known}.")
+    if hand is not None:
+        check_hand(path, hand)
+    sizes = fact(stored, "sizes", _SIZES, _REMEDY)
     try:
-        network = NETWORKS[held].rebuild(json.loads(header["sizes"]), tensors, hand)
+        with _NothingLargerThan(stored):
+            network = NETWORKS[held].rebuild(sizes, stored.values, hand)
     except UserError as error:
         raise UserError(f"{path} cannot be used: {error}") from None
-    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError, ArithmeticError) as error:
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise UserError(f"{path} does not fit the {held} of this version ({reason}); train it again.") from None
     network.conventions = read_conventions(path)
-    return _filled(network, tensors, path)
+    return _filled(network, stored, path)
 
 
 def check_savable(network: SavedNetwork, hand: HandModel) -> None:
@@ -128,27 +137,31 @@ def read_conventions(path: str | Path) -> Conventions:
     Raises:
         UserError: unreadable, or conventions that are not known here.
     """
-    with _opened(path) as file:
-        held = (file.metadata() or {}).get("conventions", "{}")
+    held = _header(path).get("conventions", "{}")
     try:
-        return Conventions(**json.loads(held))
+        known = Conventions(**parsed_json(held, _CONVENTIONS))
+        if max(known.object_points, known.points_in_use) > _MAX_POINTS:
+            raise ValueError(f"more than {_MAX_POINTS:,} points of an object")
     except (TypeError, ValueError, UserError) as error:
         raise UserError(f"{path} was trained with conventions that are not known here ({error}).") from None
+    return known
 
 
 def read_provenance(path: str | Path) -> dict[str, Any]:
-    """The record that `save_network` was given; empty for another's file."""
-    with _opened(path) as file:
-        return json.loads((file.metadata() or {}).get("provenance", "{}"))
+    """The record that `save_network` was given; empty for another's file.
+
+    Raises:
+        UserError: unreadable, or no record.
+    """
+    try:
+        return parsed_json(_header(path).get("provenance", "{}"), _PROVENANCE)
+    except ValueError as error:
+        raise UserError(f"{path} has a damaged record of its training ({error}): {_REMEDY}.") from None
 
 
 def network_kind(path: Path) -> str | None:
     """Which network a weights file holds; None when it is none of ours."""
-    try:
-        with safe_open(path, "pt") as file:
-            return (file.metadata() or {}).get("network")
-    except (SafetensorError, OSError):
-        return None
+    return (header_facts(path) or {}).get("network")
 
 
 def weights_file(path: str | Path) -> Path:
@@ -157,17 +170,36 @@ def weights_file(path: str | Path) -> Path:
     return existing(path / FILE_NAME, "Checkpoint") if path.is_dir() else path
 
 
-def _opened(path: str | Path) -> safe_open:
+def _header(path: str | Path) -> dict[str, str]:
     file = weights_file(path)
-    try:
-        return safe_open(file, "pt")
-    except (SafetensorError, OSError) as error:
-        raise UserError(f"{file} is no readable safetensors file ({error}); train it again.") from None
+    if (header := header_facts(file)) is None:
+        raise UserError(f"{file} is no readable safetensors file: {_REMEDY}.")
+    return header
 
 
-def _filled(network: SavedNetwork, tensors: Mapping[str, torch.Tensor], path: str | Path) -> SavedNetwork:
+class _NothingLargerThan(TorchDispatchMode):
+    """Refuses tensors far larger than any in a file: a network that needs such is not the one that it holds.
+
+    Memory is taken where tensors are filled, which they are not yet.
+    """
+
+    def __init__(self, stored: Tensors):
+        super().__init__()
+        # Eightfold: the basis is drawn in double precision, matrices may be stored in half.
+        self._most = 8 * max((value.nbytes for value in stored.values.values()), default=0) + (1 << 20)
+
+    def __torch_dispatch__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        result = function(*args, **(kwargs or {}))
+        if isinstance(result, torch.Tensor) and result.nbytes > self._most:
+            raise ValueError(f"sizes that need a tensor of shape {tuple(result.shape)}, which it doesn't hold")
+        return result
+
+
+def _filled(network: SavedNetwork, stored: Tensors, path: str | Path) -> SavedNetwork:
     expected = network.state_dict()
-    tensors = {k: v.to(expected[k].dtype) if k in expected else v for k, v in tensors.items()}
+    floats = {name: tuple(v.shape) for name, v in expected.items() if v.is_floating_point() and name in stored.values}
+    check_tensors(stored, floats, _REMEDY)
+    tensors = {k: v.to(expected[k].dtype) if k in expected else v for k, v in stored.values.items()}
     try:
         network.load_state_dict(tensors, strict=True)
     except RuntimeError as error:

@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pyvista
-from safetensors import safe_open
-from safetensors.numpy import save
+from safetensors.numpy import load, save
 from scipy.spatial import ConvexHull, QhullError
 
 from grabnet.errors import UserError
@@ -19,11 +18,12 @@ from grabnet.geometry.intersections import MovingMesh, find_crossings
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.io.cache import default_cache, load_or_build
-from grabnet.io.files import sha256, write_bytes
+from grabnet.io.files import sha256
+from grabnet.io.tensors import read_facts
 from grabnet.physics.coacd_process import CoacdError, cut
 
 # Part of the cache key: raise it when the same mesh, config and version of CoACD would give other pieces.
-FORMAT = 2
+FORMAT = 3
 
 
 class DecompositionError(ValueError):
@@ -76,7 +76,7 @@ def convex_pieces(mesh: Mesh, config: DecompositionConfig, cache_dir: str | Path
         except DecompositionError as error:
             return _Found([], str(error))
 
-    found = load_or_build(path, _load, build, _save)
+    found = load_or_build(path, _decoded, build, _encoded)
     if found.refusal:
         raise DecompositionError(found.refusal)
     return found.pieces
@@ -168,16 +168,15 @@ class _Found(NamedTuple):
     refusal: str | None
 
 
-def _save(found: _Found, path: Path) -> None:
+def _encoded(found: _Found) -> bytes:
     counts = np.array([len(piece) for piece in found.pieces], np.int64)
     corners = np.concatenate([np.empty((0, 3), np.float32), *found.pieces])
-    write_bytes(path, save({"corners": corners, "counts": counts}, {"refusal": found.refusal or ""}))
+    return save({"corners": corners, "counts": counts}, {"refusal": found.refusal or ""})
 
 
-def _load(path: Path) -> _Found:
-    with safe_open(path, "np") as file:
-        refusal = file.metadata()["refusal"]
-        corners, counts = file.get_tensor("corners"), file.get_tensor("counts")
+def _decoded(content: bytes) -> _Found:
+    arrays, refusal = load(content), read_facts(content)["refusal"]
+    corners, counts = arrays["corners"], arrays["counts"]
     if corners.dtype != np.float32 or corners.shape != (counts.sum(), 3) or not (counts >= 4).all():
         raise ValueError(f"corners {corners.dtype} {corners.shape} of {counts.shape} pieces")
     return _Found(np.split(corners, np.cumsum(counts)[:-1]) if len(counts) else [], refusal or None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -11,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from grabnet.body.anatomy import FINGERS
 from grabnet.body.hand import HandModel
 from grabnet.data.batches import BatchAssembler
 from grabnet.data.frames import finish_store, read_frames
@@ -21,12 +23,33 @@ from grabnet.data.splits import MIRRORED_SUFFIX, Split
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh, save_mesh
 from grabnet.io.provenance import versions
+from grabnet.io.state import Kind
 from grabnet.preprocess.card import Card
 from grabnet.preprocess.grasp_track import mirror_image, mirrored
 from grabnet.preprocess.recordings import RecordingSource
 
+# What headers of shards must say to be counted.
+HEADER: Kind = {
+    "template": str,
+    "inputs": {str: str},
+    "intent": str,
+    "counts": {"waterfall": {"in all": int, "*": int}, "fingers": dict.fromkeys(("frames", *FINGERS, "palm"), int)},
+}  # fmt: skip
 # Headers of shards (`read_header`) by name.
 Headers = Mapping[str, Mapping[str, Any]]
+
+
+def other_hands(headers: Headers) -> dict[str, str]:
+    """Recordings whose hand is not their subject's, with the reason: most of that subject have another template."""
+    votes: dict[str, Counter[str]] = {}
+    for header in headers.values():
+        votes.setdefault(header["subject"], Counter())[header["template"]] += 1
+    own = {subject: max(sorted(votes), key=lambda path: votes[path]) for subject, votes in votes.items()}
+    return {
+        name: f"{name} has its hand from {header['template']}, others of its subject from {own[header['subject']]}."
+        for name, header in headers.items()
+        if header["template"] != own[header["subject"]]
+    }
 
 
 @dataclass(frozen=True)
@@ -56,7 +79,7 @@ class Finishing:
             headers: of all shards. failed: recordings that gave none. recipe: of the shards.
 
         Raises:
-            UserError: hand templates that don't fit the model, or differ within a subject.
+            UserError: hand templates that don't fit the model.
         """
         v_template = self._templates(headers)
         splits = {
@@ -88,11 +111,7 @@ class Finishing:
 
     def _templates(self, headers: Headers) -> dict[str, Tensor]:
         """(V, 3) rest right hand of each subject, by name."""
-        paths: dict[str, str] = {}
-        for name, header in headers.items():
-            path = paths.setdefault(header["subject"], header["template"])
-            if path != header["template"]:
-                raise UserError(f"{name} has its hand from {header['template']}, others of its subject from {path}.")
+        paths = {header["subject"]: header["template"] for header in headers.values()}  # one each: see `other_hands`
         templates = {}
         for subject, path in sorted(paths.items()):
             rest = self.recordings.rest(path)

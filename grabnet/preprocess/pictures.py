@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import torch
 from matplotlib import colormaps
@@ -20,6 +21,7 @@ _GREY, _BLUE, _RED = "#d5dbe1", "#4f7cac", "#c8553d"
 _VIEWS = {"palm": ((0, -1, 0), (-1, 0, 0)), "back": ((0, 1, 0), (-1, 0, 0)), "thumb": ((0.2, -0.3, 1), (-1, 0, 0))}
 
 
+@mpl.rc_context({"text.parse_math": False})  # names are no formulas
 def draw_waterfall(waterfall: Waterfall, path: Path) -> None:
     """How many frames each rule takes away: of all, and by split, intent and object what share it leaves."""
     in_all = waterfall.by()[()]

@@ -24,6 +24,7 @@ from grabnet.data.sequences import Sequence, load_below, read_sequence
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.io.files import existing, sha256
+from grabnet.io.names import originals
 from grabnet.preprocess.grasp_track import GraspTrack
 from grabnet.preprocess.heights import gap_to_table
 from grabnet.preprocess.statistics import contact_counts, overlap
@@ -146,7 +147,8 @@ class GrabRecordings(RecordingSource):
         return Path(self.root).resolve()
 
     def names(self) -> list[str]:
-        names = [f"{file.parent.name}/{file.stem}" for file in sorted(self.folder.glob("grab/*/[!.]*.npz"))]
+        files = originals(self.folder.glob("grab/*/*.npz"), self.folder)
+        names = [f"{file.parent.name}/{file.stem}" for file in files]
         if not names:
             remedy = "make them with python scripts/build_open.py sequences"
             if self.models is not None:
@@ -190,7 +192,7 @@ class GrabRecordings(RecordingSource):
         if self.contact == "recompute":
             sequence, overlaps = self._annotated(sequence, mesh, files.mesh(sequence.body.vtemp))
         centroid = files.mesh(mesh_file, weld=True).centroid  # as training has it
-        return GrabRecording(sequence, mesh, centroid, files, overlaps)
+        return GrabRecording(sequence, mesh, centroid, self._n_vertices, files, overlaps)
 
     def rest(self, template: str) -> Tensor:
         return torch.tensor(load_below(self.folder, template).vertices)
@@ -198,6 +200,10 @@ class GrabRecordings(RecordingSource):
     @cached_property
     def _objects(self) -> dict[str, Path]:
         return object_files(self.folder / OBJECT_MESHES)
+
+    @cached_property
+    def _n_vertices(self) -> int:
+        return len(self.hand().v_template)
 
     @cached_property
     def _contact_folder(self) -> ContactFolder:
@@ -249,12 +255,19 @@ class GrabRecording(Recording):
         sequence: its content, with the labels to use.
         mesh: the object's, its vertices as they are labelled.
         centroid: (3,) of the welded mesh.
+        n_vertices: of the hand model.
         files: that it was read from.
         overlaps: of the labels to use with those in the file, by side, where they are others.
     """
 
     def __init__(
-        self, sequence: Sequence, mesh: Mesh, centroid: np.ndarray, files: _Files, overlaps: dict[str, Any] | None
+        self,
+        sequence: Sequence,
+        mesh: Mesh,
+        centroid: np.ndarray,
+        n_vertices: int,
+        files: _Files,
+        overlaps: dict[str, Any] | None,
     ):
         self.right = GraspTrack.right(sequence)
         self.centroid = centroid
@@ -262,7 +275,9 @@ class GrabRecording(Recording):
         self._mesh = mesh
         self._files = files
         self._overlaps = overlaps
-        files.mesh(sequence.rhand.vtemp)  # of use at the end only, but missing it is a fault of this recording
+        # Of use at the end only, but missing it, or another hand's, is a fault of this recording.
+        if (n := len(files.mesh(sequence.rhand.vtemp).vertices)) != n_vertices:
+            raise UserError(f"{sequence.rhand.vtemp} has {n} vertices, the hand model {n_vertices}.")
 
     @property
     def inputs(self) -> dict[str, str]:

@@ -54,7 +54,7 @@ def shards_done(store: Path, recordings: RecordingSource, names: Collection[str]
         path = shard_path(store, name)
         if name not in known:
             raise UserError(f"{path} is of a recording that {recordings.folder} does not hold: delete it.")
-        for file, digest in read_header(path)["inputs"].items():
+        for file, digest in read_header(path, {"inputs": {str: str}})["inputs"].items():
             now = recordings.folder / file
             if file not in digests:
                 digests[file] = sha256(existing(now, "File"))

@@ -26,13 +26,14 @@ from grabnet.contact.rules import ContactRules
 from grabnet.data.frames import FORMAT as STORE_FORMAT
 from grabnet.data.frames import read_header, shard_names, shard_path, start_store
 from grabnet.data.objects import OBJECT_MESHES
-from grabnet.data.splits import Split
+from grabnet.data.splits import MIRRORED_SUFFIX, Split
 from grabnet.errors import UserError
-from grabnet.io.files import leftovers, write_json
+from grabnet.io.files import write_json
+from grabnet.io.litter import clear_litter
 from grabnet.io.provenance import provenance
 from grabnet.preprocess.backends import Outcome, by_dask, by_joblib, machine_cores
 from grabnet.preprocess.filtering import FrameFilter
-from grabnet.preprocess.finishing import Finishing
+from grabnet.preprocess.finishing import HEADER, Finishing, other_hands
 from grabnet.preprocess.recordings import RecordingSource
 from grabnet.preprocess.resuming import alone_in, shards_done
 from grabnet.preprocess.sequence_work import FORMAT, SequenceWork, peak_memory
@@ -122,15 +123,15 @@ def preprocess(config: PreprocessConfig) -> list[Outcome]:
     recipe = config.recipe()
     with alone_in(config.store):
         start_store(config.store, recipe, f"delete {config.store}, or choose another output=")
-        for leftover in leftovers(config.root, *_RECORDS, str(OBJECT_MESHES / "*.*")):
-            leftover.unlink()
+        clear_litter(config.root, *_RECORDS, str(OBJECT_MESHES / "*.*"))
         config.data.start()
         done = shards_done(config.store, config.data, names, config.filter.mirror_left)
         done = {name for name in done if config.data.is_complete(name)}
         outcomes = list(_work(config, names, done))
+        headers = {name: read_header(shard_path(config.store, name), HEADER) for name in shard_names(config.store)}
+        outcomes = _without_other_hands(config.store, outcomes, headers)
         failures = sorted((o for o in outcomes if o.failure), key=lambda o: o.name)
         write_json(config.root / "failures.json", {o.name: o.failure for o in failures})
-        headers = {name: read_header(shard_path(config.store, name)) for name in shard_names(config.store)}
         if headers:
             finishing = Finishing(
                 config.root, config.data, config.split, config.contact_distance, config.cache_dir, config.pictures
@@ -158,6 +159,16 @@ def _work(config: PreprocessConfig, names: list[str], done: set[str]) -> Iterato
             if outcome.failure:
                 bar.console.print(f"{outcome.name} failed: {outcome.failure}", markup=False, style="red")
             yield outcome
+
+
+def _without_other_hands(store: Path, outcomes: list[Outcome], headers: dict[str, dict[str, Any]]) -> list[Outcome]:
+    """Outcomes where recordings of another's hand have failed; their shards and headers are removed."""
+    others = {name.removesuffix(MIRRORED_SUFFIX): reason for name, reason in other_hands(headers).items()}
+    for name in [name for name in headers if name.removesuffix(MIRRORED_SUFFIX) in others]:
+        shard_path(store, name).unlink()
+        del headers[name]
+    done = [outcome for outcome in outcomes if outcome.name not in others]
+    return done + [Outcome(name, reason) for name, reason in others.items()]
 
 
 def _record(

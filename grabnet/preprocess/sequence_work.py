@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from grabnet.data.sources.base import write_frames
-from grabnet.errors import UserError
+from grabnet.errors import UserError, printable
 from grabnet.io.files import DISK_ERRORS
 from grabnet.preprocess.backends import Outcome
 from grabnet.preprocess.filtering import FrameFilter, frames_left
@@ -58,7 +58,7 @@ class SequenceWork:
             if of_store and error.errno in DISK_ERRORS:
                 raise UserError(f"{self.store} cannot be written to ({error.strerror}): make room there.") from None
             at = [frame for frame in traceback.extract_tb(error.__traceback__) if "grabnet" in frame.filename][-1]
-            failure = f"{type(error).__name__}: {error} ({Path(at.filename).name}, line {at.lineno})"
+            failure = printable(f"{type(error).__name__}: {error} ({Path(at.filename).name}, line {at.lineno})")
         return Outcome(name, failure, f"{socket.gethostname()}:{os.getpid()}", peak_memory())
 
     def _write(self, name: str) -> None:

@@ -6,6 +6,7 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
+import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -22,6 +23,7 @@ COLOURS = {DONE: "tab:blue", PRUNED: "tab:orange", FAILED: "tab:red", UNFINISHED
 Row = dict[str, str | float | None]
 
 
+@mpl.rc_context({"text.parse_math": False})  # names are no formulas
 def report(runs: Sequence[Run], objective: str, folder: Path) -> None:
     """Print the table and write both files into the sweep's folder."""
     keys = _keys(runs)
@@ -50,7 +52,7 @@ def row(run: Run, objective: str) -> Row:
         "status": run.status,
         **{name: best.get(name) for name in dict.fromkeys((objective, "val/v2v"))},
         "epochs": len(epochs),
-        "seconds": epochs[-1]["seconds"] if epochs else None,
+        "seconds": epochs[-1].get("seconds") if epochs else None,
         "folder": run.folder.name,
         "reason": run.reason,
     }
@@ -97,7 +99,7 @@ def _curves(panel: Axes, runs: Sequence[Run], objective: str) -> None:
             continue
         panel.plot([], [], color=colour, label=f"{len(those)} {status}")
         for run in those:
-            epochs = [epoch for epoch in read_history(run.folder) if objective in epoch]
+            epochs = [epoch for epoch in read_history(run.folder) if {objective, "epoch"} <= epoch.keys()]
             panel.plot([e["epoch"] + 1 for e in epochs], [e[objective] for e in epochs], ".-", color=colour, alpha=0.6)
     panel.set(xlabel="epoch", ylabel=objective, yscale=_scale(panel.dataLim.intervaly))
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))

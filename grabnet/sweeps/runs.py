@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import logging
 import re
 from collections.abc import Iterable, Mapping
@@ -18,9 +17,11 @@ from omegaconf import DictConfig
 
 from grabnet.errors import UserError
 from grabnet.io.files import write_json
+from grabnet.io.state import read_json
 from grabnet.training.ending import METRICS, RunPruned
 
 OUTCOME = "outcome.json"
+_REMEDY = "delete it, and the same command does that run again"
 DONE, PRUNED, FAILED, UNFINISHED = "done", "pruned", "failed", "unfinished"
 
 log = logging.getLogger(__name__)
@@ -58,12 +59,16 @@ class Run:
         return self.status in (DONE, PRUNED)
 
     def metrics(self) -> dict[str, float]:
-        """Those of its best epoch, and its test errors. Only for a run that is done."""
-        return json.loads((self.folder / METRICS).read_text())
+        """Those of its best epoch, and its test errors. Only for a run that is done.
+
+        Raises:
+            UserError: a damaged file.
+        """
+        return read_json(self.folder / METRICS, {str: float}, _REMEDY)
 
     def _outcome(self) -> dict[str, str]:
         path = self.folder / OUTCOME
-        return json.loads(path.read_text()) if path.exists() else {}
+        return read_json(path, {"status": {PRUNED, FAILED}, "reason": str}, _REMEDY) if path.exists() else {}
 
 
 def folder_name(overrides: Iterable[str], values: Mapping[str, str]) -> str:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 from lightning.fabric.plugins import TorchCheckpointIO
+from torch import Tensor
 
 from grabnet.errors import UserError
+from grabnet.io import checkpoints
 from grabnet.io.files import replacing
 
 BEST, LAST, PREVIOUS = "best.ckpt", "last.ckpt", "last.previous.ckpt"
@@ -44,13 +47,15 @@ def read_checkpoint(path: str | Path) -> dict[str, Any]:
     """The content of a checkpoint, on the CPU; tensors and plain containers only.
 
     Raises:
-        UserError: damaged, or holding other objects.
+        UserError: damaged, holding other objects, or weights that are not finite.
     """
-    try:
-        return torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises many kinds for a damaged file
-        reason = str(error).partition("\n")[0] or type(error).__name__
-        raise UserError(f"Checkpoint {path} cannot be read ({reason}); delete it.") from None
+    checkpoint = checkpoints.read_checkpoint(path, "Checkpoint", "delete it")
+    weights = checkpoint.get("state_dict") if isinstance(checkpoint, dict) else None
+    if not isinstance(weights, Mapping) or not all(isinstance(value, Tensor) for value in weights.values()):
+        raise UserError(f"Checkpoint {path} cannot be read (it holds no state_dict of tensors): delete it.")
+    if bad := [name for name, value in weights.items() if value.is_floating_point() and not value.isfinite().all()]:
+        raise UserError(f"Checkpoint {path} cannot be read ({bad[0]} is not finite): delete it.")
+    return checkpoint
 
 
 def newest_whole(folder: str | Path) -> Path | None:

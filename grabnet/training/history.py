@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from pathlib import Path
@@ -11,10 +10,12 @@ from typing import Any
 import lightning as L
 
 from grabnet.io.files import write_json
+from grabnet.io.state import Finite, Kind, read_json
 
 HISTORY = "history.json"
 
 Epoch = dict[str, float]
+_EPOCH: Kind = {"epoch?": int, "seconds?": Finite(0), "*": float}
 
 
 class History(L.Callback):
@@ -43,9 +44,13 @@ class History(L.Callback):
 
 
 def read_history(run_dir: str | Path) -> list[Epoch]:
-    """The epochs of a run so far; none where it has not come to the end of one."""
+    """The epochs of a run so far; none where it has not come to the end of one.
+
+    Raises:
+        UserError: a damaged file.
+    """
     path = Path(run_dir) / HISTORY
-    return json.loads(path.read_text()) if path.exists() else []
+    return read_json(path, [_EPOCH], "delete it, or run that training again") if path.exists() else []
 
 
 def best_epoch(epochs: list[Epoch], objective: str) -> Epoch | None:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
 import warnings
@@ -25,8 +24,10 @@ from grabnet.cli.entry import fail
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.errors import UserError
 from grabnet.io.files import DISK_ERRORS, replacing, sha256, write_json
+from grabnet.io.litter import clear_litter
 from grabnet.io.provenance import provenance
 from grabnet.io.recipes import refuse_other
+from grabnet.io.state import Kind, read_config, read_json
 from grabnet.models.weights import FILE_NAME, save_network
 from grabnet.training.acceleration import compile_blocks, denormals_flushed, set_matmul_precision
 from grabnet.training.checkpoints import BEST, AtomicCheckpointIO, drop_damaged, newest_whole, read_checkpoint
@@ -40,6 +41,8 @@ from grabnet.training.stopping import ObjectiveMeasured, StopStaysStopped
 log = logging.getLogger(__name__)
 
 PROVENANCE = "provenance.json"
+_PROVENANCE: Kind = {"made": str, "versions": {str: object}, "machine": str, "commit": (str, None)}
+_PROVENANCE |= {"trained_from": {str: object}, "earlier?": [{str: object}]}
 # What a run is begun with and cannot change when it goes on. How long it takes and what it tells can.
 _FIXED = ("hand_model", "data", "model", "seed", "objective")
 
@@ -76,6 +79,7 @@ def _train(cfg: DictConfig, run_dir: Path) -> dict[str, float]:
     history, resumed = History(), None
     trainer = _trainer(cfg, history)
     if trainer.is_global_zero:
+        clear_litter(run_dir, "*.*", "checkpoints/*.*", "*/*.safetensors")
         if cfg.resume and (resumed := newest_whole(run_dir / "checkpoints")):
             _refuse_other_settings(run_dir / "config.yaml", cfg)
             drop_damaged(resumed)
@@ -134,22 +138,18 @@ def _fit(
 
 def _refuse_other_settings(path: Path, cfg: DictConfig) -> None:
     """Raise a `UserError` where the run whose config is at `path` learns something else, or otherwise, than `cfg`."""
-    configs = (OmegaConf.to_container(config, resolve=True) for config in (OmegaConf.load(path), cfg))
+    remedy = "choose another run_dir, or start it from scratch with resume=false"
+    configs = (OmegaConf.to_container(read_config(path, remedy)), OmegaConf.to_container(cfg, resolve=True))
     started, now = ({key: config.get(key) for key in _FIXED} for config in configs)
-    refuse_other(path.parent, started, now, "choose another run_dir, or start it from scratch with resume=false")
+    refuse_other(path.parent, started, now, remedy)
 
 
 def _earlier(path: Path) -> dict[str, Any]:
     """Of a run that goes on: the networks that it started from, and what it ran with before, attempt by attempt."""
-    try:
-        before = json.loads(path.read_text())
-        attempt = {key: before[key] for key in ("made", "versions", "machine", "commit")}
-        return {"trained_from": before["trained_from"], "earlier": [*before.get("earlier", []), attempt]}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(
-            f"{path} is missing, damaged or of an older version ({error!r}): choose another run_dir, or begin the run "
-            "anew with resume=false."
-        ) from None
+    remedy = "choose another run_dir, or start the run from scratch with resume=false"
+    before = read_json(path, _PROVENANCE, remedy)
+    attempt = {key: before[key] for key in ("made", "versions", "machine", "commit")}
+    return {"trained_from": before["trained_from"], "earlier": [*before.get("earlier", []), attempt]}
 
 
 def _trainer(cfg: DictConfig, history: History) -> L.Trainer:

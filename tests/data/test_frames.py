@@ -92,7 +92,7 @@ def test_a_card_without_names_is_damaged(store):
     card = json.loads((store / "store.json").read_text())
     del card["subjects"]
     write_json(store / "store.json", card)
-    with pytest.raises(UserError, match=r"store\.json is damaged or missing \('subjects'\)"):
+    with pytest.raises(UserError, match=r"store\.json is damaged \(it has no subjects\)"):
         FramesStore.load(store)
 
 

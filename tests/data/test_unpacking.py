@@ -5,6 +5,7 @@ from __future__ import annotations
 import stat
 import subprocess
 import sys
+import warnings
 import zipfile
 
 import pytest
@@ -147,3 +148,58 @@ def test_no_archives_are_told(tmp_path):
     done = subprocess.run([sys.executable, SCRIPT, tmp_path, tmp_path / "GRAB"], capture_output=True, text=True)
     assert done.returncode == 2
     assert done.stderr == f"error: {tmp_path} holds no zip file: download GRAB into it first.\n"
+
+
+CANNOT_LIE_THERE = {
+    "a file that is a folder, too": (["a", "a/b.npz"], "both a file and a folder"),
+    "a folder that is a file, too": (["a/b.npz", "a"], "both a file and a folder"),
+    "no name": ([""], "names none"),
+    "a name too long": (["x" * 300], "too long"),
+    "a path too long": (["/".join(["x" * 200] * 30)], "too long"),
+    "a NUL": (["a\0b"], "leads out of"),
+    "two of one name": (["a.npz", "a.npz"], "two files"),
+}
+
+
+@pytest.mark.parametrize("name", CANNOT_LIE_THERE)
+def test_what_cannot_lie_there_is_refused_before_anything_is_written(tmp_path, name):
+    members, said = CANNOT_LIE_THERE[name]
+    path = tmp_path / "grab__s1.zip"
+    with zipfile.ZipFile(path, "w") as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for member in ("before.npz", *members):
+            entry = zipfile.ZipInfo(member)
+            entry.filename = entry.orig_filename = member
+            archive.writestr(entry, b"content")
+    with pytest.raises(UserError, match=said):
+        unpack_archive(path, tmp_path / "GRAB/grab/s1", tmp_path / "GRAB")
+    assert not tree(tmp_path / "GRAB")
+
+
+def test_what_lies_in_the_way_is_told(downloads, tmp_path):
+    (tmp_path / "GRAB/grab").mkdir(parents=True)
+    (tmp_path / "GRAB/grab/s1").write_text("a file of the user's")
+    (tmp_path / "GRAB/tools/object_meshes/contact_meshes/mug.ply").mkdir(parents=True)
+    first, second = unpack(downloads, tmp_path / "GRAB")
+    assert "grab/s1, a file, is in the way" in first and "both a file and a folder" in second
+    assert (tmp_path / "GRAB/grab/s1").read_text() == "a file of the user's"
+
+
+def test_a_damaged_member_does_not_stop_the_others(downloads, tmp_path):
+    path = zipped(downloads / "grab__s4.zip", {f"{k}.npz": bytes([k]) * 1000 for k in range(5)}, zipfile.ZIP_STORED)
+    path.write_bytes(path.read_bytes().replace(bytes([2]) * 1000, bytes([9]) * 1000))
+    (failure,) = unpack(downloads, tmp_path / "GRAB")
+    assert "1 of its 5 files are damaged, the first of them '2.npz'" in failure
+    found = [name for name in tree(tmp_path / "GRAB") if "s4" in name]
+    assert sorted(found) == [f"grab/s4/{k}.npz" for k in (0, 1, 3, 4)]
+
+
+def test_copies_and_what_systems_add_are_left_out(downloads, tmp_path):
+    whole = (downloads / "grab__s1.zip").read_bytes()
+    for name in ("grab__s1 (1).zip", "grab__s1 copy.zip", "._grab__s1.zip"):
+        (downloads / name).write_bytes(whole)
+    names = ("mug.npz", "._mug.npz", "__MACOSX/._mug.npz", ".DS_Store")
+    zipped(downloads / "grab__s2.zip", dict.fromkeys(names, b"content"))
+    assert unpack(downloads, tmp_path / "GRAB") == []
+    assert sorted(p.name for p in (tmp_path / "GRAB/grab").iterdir()) == ["s1", "s2"]
+    assert [p.name for p in (tmp_path / "GRAB/grab/s2").iterdir()] == ["mug.npz"]

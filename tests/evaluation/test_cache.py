@@ -1,6 +1,10 @@
+import os
+import signal
+
 import numpy as np
 import pytest
 
+from grabnet.errors import UserError
 from grabnet.evaluation.cache import Cache, ResultTable
 from grabnet.evaluation.hands import Hands
 from grabnet.evaluation.measuring import Task, measured
@@ -161,6 +165,30 @@ def test_what_was_measured_is_kept_when_the_rest_fails(cache):
     counting = Counting()
     measured([Task(0, solid, hands, [counting])], cache, 1)
     assert counting.hands == 15
+
+
+class Dying(PerGrasp):
+    """Kills the process that measures the second portion."""
+
+    name = "dying"
+
+    def __call__(self, scene) -> dict[str, np.ndarray]:
+        if scene.hands.vertices[0, 0, 0] > 20:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return {"x": scene.hands.vertices[:, 0, 0].astype(float)}
+
+
+def test_a_killed_process_is_told_in_a_sentence(cache):
+    solid, hands = ball(1, 1), moved(ball(1, 1), *[(k, 0, 0) for k in range(40)])
+    with pytest.raises(UserError, match=r"was killed, perhaps for want of memory\. .* fewer processes than 2"):
+        measured([Task(0, solid, hands, [Dying()])], cache, 2)
+
+
+def test_arrays_come_in_the_order_of_their_names(cache):
+    arrays = {name: np.ones(1) for name in "hgfedcba"}
+    for _ in range(2):
+        found = cache.get("kind", ["a"], lambda: arrays)
+    assert list(found) == sorted(arrays)
 
 
 def test_keys_tell_hands_apart():

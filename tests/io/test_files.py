@@ -9,12 +9,10 @@ import torch
 from grabnet.data.frames import finish_store
 from grabnet.errors import UserError
 from grabnet.geometry.bps import BPS
-from grabnet.geometry.sdf_grid import Level, SDFGrid
 from grabnet.io.files import existing, filling, replacing, sha256, write_json
 from grabnet.models.coarsenet import CoarseNet
 from grabnet.models.weights import save_network
 from grabnet.open.grasps.store import load_open_grasps, save_open_grasps
-from grabnet.physics import decomposition
 from tests.faults import files_of_at_most
 
 
@@ -33,16 +31,10 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
     "write",
     [
         lambda folder: save_network(folder / "a.safetensors", CoarseNet(BPS(64), width=32, n_hidden=16), {}),
-        lambda folder: SDFGrid(*(Level((0.0,) * 3, 1.0, torch.zeros(16, 16, 16).half()) for _ in range(2))).save(
-            folder / "a.safetensors"
-        ),
         lambda folder: finish_store(folder, "", {"s1": torch.zeros(778, 3)}, [], {}),
         lambda folder: save_open_grasps(folder / "a.safetensors", load_open_grasps()),
-        lambda folder: decomposition._save(
-            decomposition._Found([np.zeros((2000, 3), np.float32)], None), folder / "a.safetensors"
-        ),
     ],
-    ids=["network", "grid", "subjects", "grasps", "pieces"],
+    ids=["network", "subjects", "grasps"],
 )
 def test_a_full_disk_is_an_os_error_whatever_is_written(write, tmp_path):
     with files_of_at_most(4096), pytest.raises(OSError, match="File too large"):

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+import warnings
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from grabnet.errors import UserError
-from grabnet.io.npz import npz_rows, read_npz
+from grabnet.io.npz import npz_names, npz_rows, read_npy, read_npz
 
 ARRAYS = {
     "float": np.linspace(0, 1, 24).reshape(2, 3, 4),
@@ -32,7 +34,7 @@ def test_arrays_come_back(tmp_path, save):
     assert read.keys() == ARRAYS.keys()
     for name, array in ARRAYS.items():
         np.testing.assert_array_equal(read[name], array)
-        assert read[name].dtype == array.dtype and read[name].flags.writeable
+        assert read[name].dtype == array.dtype.newbyteorder("=") and read[name].flags.writeable
 
 
 def test_pickled_dicts_come_as_dicts(tmp_path):
@@ -67,6 +69,92 @@ def test_a_header_that_promises_more_than_there_is(tmp_path):
         archive.writestr("x.npy", content.replace(b"'shape': (10,)", b"'shape': (99,)"))
     with pytest.raises(UserError, match="not a readable"):
         read_npz(tmp_path / "b.npz")
+
+
+def _npy(descr: str, shape: str, order: str = "False", content: bytes = bytes(8)) -> bytes:
+    text = f"{{'descr': {descr}, 'fortran_order': {order}, 'shape': {shape}, }}\n".encode("latin1")
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + content
+
+
+HEADERS = {
+    "a product that overflows": _npy("'<f8'", "(4294967296, 4294967296)"),
+    "a product of zero after overflow": _npy("'<f8'", "(1000000000000, 0)", content=b""),
+    "more than can be counted": _npy("'<f8'", f"({'9' * 30},)"),
+    "truth as a size": _npy("'<f8'", "(True,)"),
+    "a negative size": _npy("'<f8'", "(-1,)"),
+    "a size that is no number": _npy("'<f8'", "(1.0,)"),
+    "a shape that is no tuple": _npy("'<f8'", "1"),
+    "a literal that is never closed": _npy("'<f8'", "(1,"),
+    "a literal that is deep": _npy("'<f8'", "(" * 4000 + ")" * 4000),
+    "an expression": _npy("'<f8'", "(__import__('os').getpid(),)"),
+    "a type with parts": _npy("[('a', '<f8')]", "(1,)"),
+    "a type that is no text": _npy("8", "(1,)"),
+    "times": _npy("'<M8[s]'", "(1,)"),
+    "pointers": _npy("'|V8'", "(1,)"),
+    "texts of no letters": _npy("'<U0'", "(1000000000000,)", content=b""),
+    "texts of a gigabyte": _npy("'<U999999999'", "(1,)"),
+    "numbers as wide as this machine's": _npy("'<f16'", "(1,)", content=bytes(16)),
+    "what is no order": _npy("'<f8'", "(1,)", "0"),
+    "fewer bytes": _npy("'<f8'", "(2,)"),
+    "more bytes": _npy("'<f8'", "(1,)", content=bytes(9)),
+    "half of a character": _npy("'<U1'", "(2,)", content=(0xD800).to_bytes(4, "little") * 2),
+    "beyond all characters": _npy("'<U1'", "(2,)", content=b"\xff" * 8),
+    "a header without end": b"\x93NUMPY\x02\x00\xff\xff\xff\xff{",
+    "another version": b"\x93NUMPY\x09\x00\x10\x00" + bytes(16),
+    "an axis too many": _npy("'<f8'", "(" + "1, " * 33 + ")"),
+}
+
+
+@pytest.mark.parametrize("name", HEADERS)
+def test_headers_that_are_not_plain_are_refused(tmp_path, name):
+    (tmp_path / "a.npy").write_bytes(HEADERS[name])
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("x.npy", HEADERS[name])
+    for read, file in ((read_npy, "a.npy"), (read_npz, "a.npz")):
+        with pytest.raises(UserError) as error:
+            read(tmp_path / file)
+        assert file in str(error.value) and len(str(error.value)) < 400
+    if "character" not in name and name != "more bytes":
+        with pytest.raises(UserError):
+            list(npz_rows(tmp_path / "a.npz", "x", 2))
+
+
+@pytest.mark.parametrize("version", [(1, 0), (2, 0), (3, 0)])
+def test_every_version_of_the_format_is_read(tmp_path, version):
+    with (tmp_path / "a.npy").open("wb") as file:
+        np.lib.format.write_array(file, np.arange(3), version)
+    assert read_npy(tmp_path / "a.npy").tolist() == [0, 1, 2]
+    python2 = _npy("'<i8'", "(1L,)")
+    (tmp_path / "a.npy").write_bytes(python2)
+    assert read_npy(tmp_path / "a.npy").tolist() == [0]
+
+
+def test_archives_of_another_kind_are_refused(tmp_path):
+    content = _npy("'<f8'", "(1,)")
+    cases = [(["x.npy", "x.npy"], zipfile.ZIP_STORED), (["."], zipfile.ZIP_STORED)]
+    cases += [(["x.npy"], method) for method in (zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2)]
+    for names, method in cases:
+        with zipfile.ZipFile(tmp_path / "a.npz", "w", method) as archive, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            for name in names:
+                archive.writestr(name, content)
+        with pytest.raises(UserError, match=r"a\.npz holds"):
+            read_npz(tmp_path / "a.npz")
+
+
+def test_what_systems_add_is_left_out(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        for name in ("x.npy", "._x.npy", "__MACOSX/x.npy"):
+            archive.writestr(name, _npy("'<f8'", "(1,)") if name == "x.npy" else b"junk")
+    assert read_npz(tmp_path / "a.npz").keys() == {"x"} and npz_names(tmp_path / "a.npz") == ["x"]
+
+
+def test_what_is_no_file_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "a.npz")
+    for path in (tmp_path, tmp_path / "a.npz", Path("/dev/zero")):
+        for read in (read_npz, read_npy):
+            with pytest.raises(UserError, match="is no regular file"):
+                read(path)
 
 
 @pytest.mark.parametrize("keep", [0, 10, 500, -30])

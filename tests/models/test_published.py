@@ -206,7 +206,7 @@ def test_files_that_are_no_weights_are_told_and_run_nothing(tmp_path, monkeypatc
     (tmp_path / "noise.pt").write_bytes(b"noise")
     files = [tmp_path / "noise.pt", save(tmp_path, {"enc_mu.weight": Bomb()}, "bomb.pt")]
     for file in files:
-        with pytest.raises(UserError, match=rf"{file.name} is no readable checkpoint"):
+        with pytest.raises(UserError, match=rf"{file.name} cannot be read"):
             CoarseNet.from_published(file)
     with pytest.raises(UserError, match=r"list\.pt is no state dict"):
         CoarseNet.from_published(save(tmp_path, [torch.zeros(3)], "list.pt"))

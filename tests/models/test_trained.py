@@ -1,14 +1,18 @@
+import json
 import os
+import re
+import resource
 
 import pytest
 import torch
-from safetensors.torch import save
+from safetensors.torch import load, save
 
 from grabnet.errors import UserError
 from grabnet.generation.grabber import Grabber
 from grabnet.io.files import sha256
+from grabnet.io.tensors import read_facts
 from grabnet.models.trained import OPEN_GRABBER, find_model, find_network, load_model
-from grabnet.models.weights import FILE_NAME, check_hand, save_network
+from grabnet.models.weights import FILE_NAME, check_hand, load_network, save_network
 
 
 @pytest.fixture
@@ -117,3 +121,54 @@ def test_another_hand_is_refused(runs, grabber, tmp_path):
     save_network(path, grabber.generator.coarsenet, {"hand_sha256": "0" * 64})
     with pytest.raises(UserError, match="another hand"):
         check_hand(path, grabber.hand)
+
+
+def _rewritten(path, change) -> None:
+    """A weights file with other sizes or tensors, as whole as before."""
+    content = path.read_bytes()
+    header = read_facts(content)
+    tensors = load(content)
+    change(header, tensors)
+    path.write_bytes(save(tensors, header))
+
+
+def _sizes(**values):
+    return lambda header, tensors: header.update(sizes=json.dumps(json.loads(header["sizes"]) | values))
+
+
+_NO_SIZES = (None, [], "32", 0, -1, 2.5, float("nan"), 10**12, 10**6, True)
+HOSTILE = {
+    **{f"width {value}": _sizes(width=value) for value in _NO_SIZES},
+    "n_hidden and width": _sizes(width=10**5, n_hidden=10**5),
+    "latent_dim": _sizes(latent_dim=10**9),
+    "unknown size": _sizes(depth=3),
+    "sizes": lambda header, tensors: header.update(sizes="[" * 10_000),
+    "no sizes": lambda header, tensors: header.pop("sizes"),
+    "conventions": lambda header, tensors: header.update(conventions='{"points_in_use": 1000000000000}'),
+    "conventions of another kind": lambda header, tensors: header.update(conventions='{"centre": ["box"]}'),
+    "provenance": lambda header, tensors: header.update(provenance="[]"),
+    "not a number": lambda header, tensors: tensors["mean.weight"].fill_(float("nan")),
+    "infinite": lambda header, tensors: tensors["encoder_norm.running_var"].fill_(float("inf")),
+    "whole numbers": lambda header, tensors: tensors.update({"mean.bias": tensors["mean.bias"].long()[:1]}),
+    "another shape": lambda header, tensors: tensors.update({"mean.weight": tensors["mean.weight"][:1].clone()}),
+    "no rows": lambda header, tensors: tensors.update({"bps.basis": torch.zeros(10**12, 0)}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_weights_end_in_a_sentence_and_take_no_memory(name, grabber, tmp_path):
+    path = tmp_path / FILE_NAME
+    save_network(path, grabber.generator.coarsenet, {})
+    _rewritten(path, HOSTILE[name])
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(UserError, match=re.escape(str(tmp_path))):
+        load_network(path, grabber.hand)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # kB
+
+
+@pytest.mark.parametrize("value", [0, 10**12, 2.5, "3", None])
+def test_iterations_of_a_refinenet_are_a_few(value, grabber, tmp_path):
+    save_network(tmp_path / FILE_NAME, grabber.generator.refinenet, {})
+    _rewritten(tmp_path / FILE_NAME, _sizes(iterations=value))
+    with pytest.raises(UserError, match=r"iterations is|sizes"):
+        load_network(tmp_path / FILE_NAME, grabber.hand)

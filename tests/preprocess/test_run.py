@@ -26,6 +26,8 @@ from grabnet.data.sequences import read_sequence, write_sequence
 from grabnet.data.splits import Split
 from grabnet.errors import UserError
 from grabnet.io.npz import read_npz
+from grabnet.preprocess.filtering import Waterfall
+from grabnet.preprocess.pictures import draw_waterfall
 from grabnet.preprocess.resuming import LOCK
 from grabnet.preprocess.run import run
 from grabnet.training.run import train
@@ -147,20 +149,26 @@ def test_bad_recordings_are_told_and_the_rest_goes_on(own_grab, made, tmp_path, 
         "s1/ball_bad_3": lambda stored: stored.update(obj_name="teapot"),
         "s2/ball_bad_4": lambda stored: stored["contact"].update(object=np.zeros((N_FRAMES, 99), int)),
         "s2/ball_bad_5": lambda stored: stored["rhand"].update(vtemp="tools/nobody.ply"),
+        "s2/ball_bad_7": lambda stored: stored.update(motion_intent="\ud800"),
+        "s2/ball_bad_8": lambda stored: stored.update(motion_intent="\x1b[31mlift"),
+        "s2/ball_bad_9": lambda stored: stored["rhand"].update(vtemp="tools/subject_meshes/female/s2_rhand.ply"),
     }
     for name, change in spoilt.items():
         path = own_grab[0] / "grab" / f"{name}.npz"
         shutil.copyfile(own_grab[0] / "grab/s1/ball_lift_1.npz", path)
         spoil(path, change)
     (own_grab[0] / "grab/s2/ball_bad_6.npz").write_bytes(b"no zip file")
+    for name in ("._ball_lift_1.npz", "ball_lift_1 (1).npz", "ball_lift_1 copy.npz", "ball_lift_1 2.npz"):
+        shutil.copyfile(own_grab[0] / "grab/s1/ball_lift_1.npz", own_grab[0] / "grab/s1" / name)
     log = tmp_path / "log.txt"
     assert finish(overrides(*own_grab, tmp_path / "data", cache_dir), log, script=SCRIPT) == 1
-    assert "error: 6 recordings failed; why is in" in log.read_text() and "Traceback" not in log.read_text()
+    assert "error: 9 recordings failed; why is in" in log.read_text() and "Traceback" not in log.read_text()
     failures = json.loads((tmp_path / "data/failures.json").read_text())
     for (name, reason), said in zip(
         failures.items(),
         ("rhand transl is not finite in 1 of 10 frames, first in frame 3", "lacks table", "shows 'teapot', an object",
-         "labels 99 vertices of an object that has 2562", "nobody.ply does not exist", "not a readable .npz"),
+         "labels 99 vertices of an object that has 2562", "nobody.ply does not exist", "not a readable .npz",
+         "text with what is no character", r"motion_intent is '\x1b[31mlift'", "others of its subject from"),
         strict=True,
     ):  # fmt: skip
         assert name.split("_")[1] == "bad" and said in reason and "\n" not in reason
@@ -168,6 +176,13 @@ def test_bad_recordings_are_told_and_the_rest_goes_on(own_grab, made, tmp_path, 
         if name != "store.json":
             assert (tmp_path / "data/frames" / name).read_bytes() == content
     assert (tmp_path / "data/frames/store.json").read_bytes() == (made / "frames/store.json").read_bytes()
+
+
+def test_names_that_look_like_formulas_are_names(tmp_path):
+    waterfall = Waterfall()
+    waterfall.add("train", r"$\frac$", "$_{$", {"in all": 3, "touching": 2})
+    draw_waterfall(waterfall, tmp_path / "waterfall.png")
+    assert (tmp_path / "waterfall.png").exists()
 
 
 def test_labels_found_anew_are_compared_with_those_in_the_files(own_grab, made, tmp_path, cache_dir):

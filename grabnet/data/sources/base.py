@@ -18,7 +18,16 @@ from rich.progress import track
 from torch import Tensor
 
 from grabnet.body.hand import HandModel, HandParameters
-from grabnet.data.frames import FORMAT, finish_store, read_header, shard_names, shard_path, start_store, write_shard
+from grabnet.data.frames import (
+    FORMAT,
+    check_sequence_name,
+    finish_store,
+    read_header,
+    shard_names,
+    shard_path,
+    start_store,
+    write_shard,
+)
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
@@ -155,8 +164,7 @@ def write_frames(store: Path, sequence: str, frames: HandFrames, centroid: Tenso
     Raises:
         UserError: a name that is no path of two parts, or values that are not finite or no rotations.
     """
-    if sequence.count("/") != 1 or any(not part or part.startswith(".") for part in sequence.split("/")):
-        raise UserError(f"'{sequence}' cannot name a sequence: it must be like s1/mug_lift_1.")
+    check_sequence_name(sequence)
     for hand in filter(None, (frames.hand, frames.noisy)):
         _check(sequence, "hand", hand.rotations, hand.transl)
     _check(sequence, "object", frames.object_rotation, frames.object_transl)

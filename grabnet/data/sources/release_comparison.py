@@ -18,6 +18,7 @@ from grabnet.data.sources.release_names import FrameName
 from grabnet.errors import UserError
 from grabnet.geometry.queries import MeshQuery
 from grabnet.io.files import write_json
+from grabnet.io.state import Finite, Kind, read_json
 
 _ANOTHER_HAND = "pass the model that the data were made with: hand_model=mano hand_model.path=<MANO_RIGHT.npz>"
 _OTHER_MESHES = "pass the meshes that the data were made with: objects.dir=<GRAB's contact_meshes>"
@@ -159,6 +160,10 @@ def _refuse_far(geometry: StoredGeometry, block: Block, name: str, distances: Te
         )
 
 
+_FOUND: Kind = {"frames": Finite(1), "arrays": {str: {"sum": Finite(0), "max": Finite(0)}}}
+_RECORD: Kind = {"recipe": {str: object}, "turns_rows?": (bool, None), "splits": {str: _FOUND}}
+
+
 class ComparisonRecord:
     """How far the comparison has come and what it found, on disk, so that a killed one goes on.
 
@@ -174,11 +179,8 @@ class ComparisonRecord:
         self.path = path
         self._content: dict[str, Any] = {"recipe": json.loads(json.dumps(recipe)), "splits": {}}
         if path.exists():
-            try:
-                stored = json.loads(path.read_text(encoding="utf-8"))
-                self._content = stored if stored["recipe"] == self._content["recipe"] else self._content
-            except (ValueError, KeyError, TypeError) as error:
-                raise UserError(f"{path} is damaged ({error}): delete it.") from None
+            stored = read_json(path, _RECORD, "delete it")
+            self._content = stored if stored["recipe"] == self._content["recipe"] else self._content
 
     def frames(self, split: str) -> int:
         """How many frames of a split have been compared."""

@@ -18,9 +18,11 @@ from grabnet.evaluation.summary import Figure, find
 # Ground truth, baseline, networks, then what else there is.
 COLOURS = ("#3f7d58", "#98a2ad", "#e3a64b", "#c5523f", "#4b6a9b", "#8a5a9e", "#3b8f9c", "#7a6a53")
 _INK, _FAINT = "#28323c", "#d9dee3"
+_PLAIN = {"text.parse_math": False}  # names are no formulas
 _SIZE = 8.5  # points, of the text
 
 
+@mpl.rc_context(_PLAIN)
 def intervals(numbers: Sequence[Figure], methods: Sequence[Method], metrics: Sequence[Metric]) -> str:
     """Draw each metric's value and interval by row, side by side."""
     columns = min(4, len(metrics))
@@ -41,6 +43,7 @@ def intervals(numbers: Sequence[Figure], methods: Sequence[Method], metrics: Seq
     return _svg(canvas, axes[len(metrics) :])
 
 
+@mpl.rc_context(_PLAIN)
 def distributions(methods: Sequence[Method], metrics: Sequence[Metric], objects: Sequence[str]) -> str:
     """Draw the share of all grasps at or below each value."""
     canvas, axes = _canvas(1, len(metrics), height=2.3)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
@@ -15,8 +14,9 @@ from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandParameters
 from grabnet.errors import UserError
 from grabnet.geometry.rotations import axis_angle_to_matrix
-from grabnet.io.files import existing, write_bytes
+from grabnet.io.files import write_bytes
 from grabnet.io.shipped import shipped
+from grabnet.io.tensors import Shape, check_tensors, fact, read_tensors
 
 OPEN_GRASPS = shipped("assets") / "open_grasps" / "grasps.safetensors"
 
@@ -66,6 +66,11 @@ _PER_GRASP = {
     "global_orient": torch.float32,
     "transl": torch.float32,
 }
+_SHAPES: dict[str, Shape] = dict.fromkeys(_PER_GRASP, ("N",)) | {
+    "angles": ("N", 21), "global_orient": ("N", 3), "transl": ("N", 3)
+}  # fmt: skip
+_NAMES = ("objects", "subjects", "genders", "kinds")
+_REMEDY = "remake it with `python scripts/build_open.py grasps`"
 
 
 def load_open_grasps(path: str | Path = OPEN_GRASPS) -> OpenGrasps:
@@ -74,19 +79,17 @@ def load_open_grasps(path: str | Path = OPEN_GRASPS) -> OpenGrasps:
     Raises:
         UserError: missing or damaged file.
     """
-    path = existing(path, "Grasp file")
-    try:
-        with safe_open(path, "pt") as file:
-            meta = json.loads(file.metadata()["grasps"])
-            tensors = {name: file.get_tensor(name) for name in (*_PER_GRASP, "betas")}
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
-        raise UserError(
-            f"{path} is no grasp file ({error}); remake it with `python scripts/build_open.py grasps`."
-        ) from None
-    names = {name: tuple(meta.pop(name)) for name in ("objects", "subjects", "genders", "kinds")}
-    for name in ("object", "subject", "kind"):
+    stored = read_tensors(path, "Grasp file", _REMEDY)
+    meta = fact(stored, "grasps", {name: [str] for name in _NAMES}, _REMEDY)
+    names = {name: tuple(meta.pop(name)) for name in _NAMES}
+    check_tensors(stored, _SHAPES | {"betas": (len(names["subjects"]), 10)}, _REMEDY)
+    tensors = {name: stored.values[name] for name in (*_SHAPES, "betas")}
+    for name, of in (("object", "objects"), ("subject", "subjects"), ("kind", "kinds")):
         tensors[name] = tensors[name].long()
-    return OpenGrasps(**names, **(tensors | {"angles": tensors["angles"].float()}), meta=meta)
+        if len(tensors[name]) and not 0 <= tensors[name].min() <= tensors[name].max() < len(names[of]):
+            raise UserError(f"{stored.path}: {name} numbers no {name} of its {len(names[of])}: {_REMEDY}.")
+    changed = {"angles": tensors["angles"].float(), "clears_table": tensors["clears_table"].bool()}
+    return OpenGrasps(**names, **(tensors | changed), meta=meta)
 
 
 def save_open_grasps(path: str | Path, grasps: OpenGrasps) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
@@ -15,6 +14,7 @@ from grabnet.errors import UserError
 from grabnet.geometry.mesh import save_mesh
 from grabnet.io.files import sha256, write_json
 from grabnet.io.provenance import provenance
+from grabnet.io.state import read_json
 from grabnet.open.objects import OBJECTS, build_object
 
 # Raise it when any object would be meshed otherwise: all are then meshed again.
@@ -76,9 +76,9 @@ def _write(name: str, root: Path) -> tuple[str, dict[str, Any]]:
 def _up_to_date(root: Path) -> dict[str, dict[str, Any]]:
     """Records of the meshes that are still as the present format writes them."""
     try:
-        said = json.loads((root / PROVENANCE).read_text(encoding="utf-8"))
+        said = read_json(root / PROVENANCE, {"format": int, "objects": {str: {"file": str}}}, "mesh them again")
         objects = said["objects"] if said["format"] == FORMAT else {}
         files = {name: root / OBJECT_MESHES / f"{name}.ply" for name in objects if name in OBJECTS}
         return {name: objects[name] for name, file in files.items() if sha256(file) == objects[name]["file"]}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, UserError):
         return {}  # nothing there yet, or not ours: everything is meshed again

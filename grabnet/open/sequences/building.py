@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -24,8 +23,10 @@ from grabnet.data.sequences import write_sequence
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
 from grabnet.io.files import sha256, write_json
+from grabnet.io.litter import clear_litter
 from grabnet.io.provenance import provenance
 from grabnet.io.recipes import claim
+from grabnet.io.state import Finite, Kind, read_json
 from grabnet.open.body.subjects import open_subjects, write_subjects
 from grabnet.open.grasps.store import OPEN_GRASPS, OpenGrasps, load_open_grasps
 from grabnet.open.objects.writing import write_objects
@@ -45,6 +46,7 @@ SHARES = {"use": 0.43, "pass": 0.28, "lift": 0.2, "offhand": 0.09}  # of the rec
 _LIES_AS_MODELLED = 0.75  # share of draws in which the object stands as it was modelled
 _ATTEMPTS = 30
 _REPORTS = "reports"
+_REPORT: Kind = {"rejected": {str: int}, "frames?": Finite(0), "given_up?": int}
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,7 @@ def build_sequences(
     }
     remedy = f"choose another --root, or delete {root / 'grab'} and {root / _REPORTS} first"
     claim(root / _REPORTS / "recipe.json", recipe, remedy)
+    clear_litter(root, "*.*", f"{_REPORTS}/*/*.*", "grab/*/*.*", "tools/*/*.*", "tools/*/*/*.*")
     write_objects(root, processes)
     body = BodyModel.open()
     write_subjects(root, body, open_subjects(body, grasps))
@@ -234,7 +237,7 @@ def _reported(root: Path, entry: Entry) -> dict[str, Any] | None:
     path = root / _REPORTS / f"{entry.name}.json"
     if not path.exists():
         return None
-    report = json.loads(path.read_text(encoding="utf-8"))
+    report = read_json(path, _REPORT, "delete it to have the recording made again")
     return report if "given_up" in report or _file(root, entry).exists() else None
 
 
