@@ -15,7 +15,7 @@ from grabnet.io.files import replacing, sha256, write_json
 
 
 def main() -> int:
-    parser = make_parser(__doc__)
+    parser = make_parser(__doc__, folders=["folder"])
     parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="where the copy goes")
     parser.set_defaults(call=lambda arguments: ship(arguments.run, arguments.folder))

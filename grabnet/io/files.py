@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import os
@@ -17,10 +16,21 @@ import numpy as np
 
 from grabnet.errors import UserError
 
-# What a disk says that takes no more, and a place where no folder can be made.
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-_FORBIDDEN = {errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.ENOENT}
-DISK_ERRORS = _FULL | _FORBIDDEN
+
+@contextmanager
+def naming(path: str | Path, temporary: Path | None = None) -> Iterator[None]:
+    """Have what the system refuses in the block name `path` where it names nothing, as a full disk does.
+
+    Args:
+        temporary: how the paths begin that stand for `path` until it is complete, which are named so, too.
+    """
+    try:
+        yield
+    except OSError as error:
+        named = None if error.filename is None else os.fsdecode(error.filename)
+        if named is None or (temporary is not None and named.startswith(str(temporary))):
+            error.filename = str(path)
+        raise
 
 
 @contextmanager
@@ -31,18 +41,20 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        # mkstemp makes files private; what we publish follows the user's umask like any other file.
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    prefix = f".{path.stem}-"
+    with naming(path, path.parent / prefix):
+        handle, name = tempfile.mkstemp(prefix=prefix, suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+        temporary = Path(name)
+        try:
+            yield temporary
+            # mkstemp makes files private; what we publish follows the user's umask like any other file.
+            umask = os.umask(0)
+            os.umask(umask)
+            temporary.chmod(0o666 & ~umask)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -63,17 +75,19 @@ def filling(folder: str | Path, names: Sequence[str]) -> Iterator[Path]:
             "another folder."
         )
     folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
-        yield temporary
-        folder.mkdir(exist_ok=True)
-        for name in reversed(names):
-            _remove(folder / name)
-        for name in names:
-            if (temporary / name).exists():
-                (temporary / name).replace(folder / name)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    prefix = f".{folder.name}-"
+    with naming(folder, folder.parent / prefix):
+        temporary = Path(tempfile.mkdtemp(prefix=prefix, dir=folder.parent))
+        try:
+            yield temporary
+            folder.mkdir(exist_ok=True)
+            for name in reversed(names):
+                _remove(folder / name)
+            for name in names:
+                if (temporary / name).exists():
+                    (temporary / name).replace(folder / name)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _remove(path: Path) -> None:

@@ -22,15 +22,13 @@ def alone_in(store: Path) -> Iterator[None]:
     """Have the store's folder for this process alone.
 
     Raises:
-        UserError: another process has it, or it cannot be made.
+        UserError: another process has it.
     """
     try:
         store.mkdir(parents=True, exist_ok=True)
         lock = FileLock(store / LOCK).acquire(timeout=0)
     except Timeout:
         raise UserError(f"Another run is at work on {store}: wait for it, or choose another output=.") from None
-    except OSError as error:
-        raise UserError(f"{store} cannot be used ({error.strerror}): choose another output=.") from None
     with lock:
         yield
 

@@ -10,7 +10,7 @@ import logging
 import sys
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +21,10 @@ from hydra.utils import instantiate
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from omegaconf import DictConfig, OmegaConf
 
-from grabnet.cli.entry import fail
+from grabnet.cli.ends import Stopped, in_sentences
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.errors import UserError
-from grabnet.io.files import DISK_ERRORS, replacing, sha256, write_json
+from grabnet.io.files import naming, replacing, sha256, write_json
 from grabnet.io.provenance import provenance
 from grabnet.io.recipes import refuse_other
 from grabnet.models.weights import FILE_NAME, save_network
@@ -56,12 +56,13 @@ def train(cfg: DictConfig) -> dict[str, float]:
         the metrics.
 
     Raises:
-        UserError: the training diverged or had no time, the disk takes no more, a begun run is to go on with other
-            settings or has no checkpoint or record that can be read, or the trainer cannot be had or run as configured.
+        UserError: the training diverged or had no time, another one writes to the run folder, a begun run is to go on
+            with other settings or has no checkpoint or record that can be read, or the trainer cannot be had or run as
+            configured.
     """
     run_dir = Path(cfg.run_dir)
     try:
-        with _disk_errors_told(run_dir), denormals_flushed():
+        with _whole_checkpoint_said(run_dir), denormals_flushed():
             return _train(cfg, run_dir)
     except MisconfigurationException as error:  # such as a callback without the logger that it needs
         raise UserError(f"The trainer cannot run as configured: {' '.join(str(error).split())}") from None
@@ -170,19 +171,16 @@ def _instances(group: DictConfig) -> list[Any]:
 
 
 @contextmanager
-def _disk_errors_told(run_dir: Path) -> Iterator[None]:
-    """Turn what a full or read-only disk raises into the one sentence that its owner needs."""
+def _whole_checkpoint_said(run_dir: Path) -> Iterator[None]:
+    """Have what stops a run, or what a full disk says, name the checkpoint from which the run can go on."""
     try:
-        yield
-    except OSError as error:
-        elsewhere = error.filename is not None and not Path(error.filename).is_relative_to(run_dir)
-        if error.errno not in DISK_ERRORS or elsewhere:
-            raise
-        good = newest_whole(run_dir / "checkpoints")
-        remains = f"{good} is whole, and the same command goes on from it" if good else "no checkpoint was written yet"
-        raise UserError(
-            f"{run_dir} cannot be written to ({error.strerror}): make room, or choose another run_dir; {remains}."
-        ) from None
+        with naming(run_dir):
+            yield
+    except (OSError, Stopped) as stop:
+        with suppress(UserError):
+            good = newest_whole(run_dir / "checkpoints")
+            stop.add_note(f"The same command goes on from {good}." if good else "No checkpoint was written yet.")
+        raise
 
 
 def _quiet() -> None:
@@ -196,9 +194,10 @@ def _quiet() -> None:
 
 
 if __name__ == "__main__":
-    try:
-        train(OmegaConf.load(sys.argv[1]))
-    except UserError as error:
-        fail(error)
-    except RunPruned:  # the first process reports it
-        pass
+    with in_sentences():
+        try:
+            train(OmegaConf.load(sys.argv[1]))
+        except RunPruned:  # the first process reports it
+            pass
+        except Stopped as stop:  # likewise
+            sys.exit(128 + stop.signum)
