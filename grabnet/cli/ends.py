@@ -110,7 +110,7 @@ def _with_notes(error: BaseException) -> str:
 
 @contextmanager
 def _signals_raise() -> Iterator[None]:
-    """Raise `Stopped` in the block for SIGINT and SIGTERM, unless they are ignored (as nohup and job control have it)."""
+    """Raise `Stopped` in the block for SIGINT and SIGTERM, unless they are ignored, as nohup has it."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -33,7 +33,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
-from grabnet.cli.checking import check, refusal
+from grabnet.cli.checking import check, refusal, refuse_removal
 from grabnet.cli.ends import in_sentences, say, told, unexpected
 from grabnet.cli.help import command_help
 from grabnet.cli.mistakes import refuse_choices, sentence
@@ -228,6 +228,9 @@ def _composed(composer: Hydra, config_name: str, arguments: Sequence[str]) -> Di
         HydraConfig.instance().set_config(cfg)  # for interpolations such as ${hydra:runtime.choices.model}
     with open_dict(cfg):
         del cfg["hydra"]
+    for override in _parsed(arguments):
+        if override.is_delete():
+            refuse_removal(cfg, override.key_or_group)
     check(cfg)
     return cfg
 

@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import Any, NoReturn
 
+from grabnet.cli.checks import mismatch
 from grabnet.cli.ends import fail, in_sentences
 from grabnet.cli.help import EXIT_CODES
 from grabnet.cli.places import refuse_unwritable
 from grabnet.errors import UserError
+
+
+def number(hint: Any) -> Callable[[str], int]:
+    """What argparse makes an int of an argument by, which is held to an annotation such as `Count`."""
+
+    def parse(text: str) -> int:
+        value = int(text)
+        if found := mismatch(value, hint):
+            raise argparse.ArgumentTypeError(f"{value} is out of range; it {found[1]}")
+        return value
+
+    parse.__name__ = "whole number"  # which argparse names where the text is none
+    return parse
 
 
 class Parser(argparse.ArgumentParser):

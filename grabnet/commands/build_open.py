@@ -16,7 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from grabnet.cli.parsed import make_parser, run_parsed
+from grabnet.cli.checks import Concurrent, Count, Seed, Several
+from grabnet.cli.parsed import make_parser, number, run_parsed
 
 
 def hand(arguments: argparse.Namespace) -> None:
@@ -103,8 +104,8 @@ def main() -> int:
         "hand", help="the open hand, right and left, in MANO's schema", folders=["folder"], files=["picture"]
     )
     command.add_argument("--folder", type=Path, default=Path("assets/open_hand"), help="(default: %(default)s)")
-    command.add_argument("--adults", type=int, default=400, help="hands sampled (default: %(default)s)")
-    command.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
+    command.add_argument("--adults", type=number(Several), default=400, help="hands sampled (default: %(default)s)")
+    command.add_argument("--seed", type=number(Seed), default=0, help="(default: %(default)s)")
     command.add_argument("--picture", type=Path, help="also draw poses and shapes here, such as docs/open_hand.png")
     command.add_argument("--check", action="store_true", help="write nothing: compare what is there with a new one")
     command.set_defaults(call=hand)
@@ -116,7 +117,9 @@ def main() -> int:
         files=["picture"],
     )
     command.add_argument("--root", type=Path, default=Path("data/open"), help="dataset folder (default: %(default)s)")
-    command.add_argument("--processes", type=int, default=2, help="objects meshed at once (default: %(default)s)")
+    command.add_argument(
+        "--processes", type=number(Concurrent), default=2, help="objects meshed at once (default: %(default)s)"
+    )
     command.add_argument("--picture", type=Path, help="also draw them all here, such as docs/open_objects.png")
     command.set_defaults(call=objects)
 
@@ -127,9 +130,11 @@ def main() -> int:
         "--file", type=Path, default=Path("assets/open_grasps/grasps.safetensors"), help="(default: %(default)s)"
     )
     command.add_argument("--objects", nargs="+", metavar="NAME", help="(default: all)")
-    command.add_argument("--per-object", type=int, default=220, help="grasps of each (default: %(default)s)")
-    command.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
-    command.add_argument("--processes", type=int, default=2, help="objects at once (default: %(default)s)")
+    command.add_argument("--per-object", type=number(Count), default=220, help="grasps of each (default: %(default)s)")
+    command.add_argument("--seed", type=number(Seed), default=0, help="(default: %(default)s)")
+    command.add_argument(
+        "--processes", type=number(Concurrent), default=2, help="objects at once (default: %(default)s)"
+    )
     command.add_argument("--picture", type=Path, help="also draw random ones here, such as docs/open_grasps.png")
     command.set_defaults(call=grasps)
 
@@ -144,10 +149,12 @@ def main() -> int:
         "sequences", help="recordings of open bodies with open objects; those there are kept", folders=["root"]
     )
     command.add_argument("--root", type=Path, default=Path("data/open"), help="dataset folder (default: %(default)s)")
-    command.add_argument("--number", type=int, default=150, help="(default: %(default)s)")
+    command.add_argument("--number", type=number(Count), default=150, help="(default: %(default)s)")
     command.add_argument("--subjects", nargs="+", metavar="NAME", help="such as s1 s7 (default: all ten)")
-    command.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
-    command.add_argument("--processes", type=int, default=2, help="sequences at once (default: %(default)s)")
+    command.add_argument("--seed", type=number(Seed), default=0, help="(default: %(default)s)")
+    command.add_argument(
+        "--processes", type=number(Concurrent), default=2, help="sequences at once (default: %(default)s)"
+    )
     command.set_defaults(call=sequences)
 
     command = commands.add_parser(

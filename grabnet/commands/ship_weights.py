@@ -11,6 +11,7 @@ from pathlib import Path
 from omegaconf import OmegaConf
 
 from grabnet.cli.parsed import make_parser, run_parsed
+from grabnet.errors import UserError
 from grabnet.io.files import replacing, sha256, write_json
 
 
@@ -27,9 +28,12 @@ def ship(run: Path, folder: Path) -> None:
     import torch
 
     from grabnet.body.hand import HandModel
+    from grabnet.models.trained import is_trial
     from grabnet.models.weights import FILE_NAME, load_network, read_provenance, save_network, weights_file
 
     file = weights_file(run)
+    if is_trial(file):
+        raise UserError(f"{file} was only tried out (trial=true, as debug=… sets it): train it for real before.")
     network = load_network(file, HandModel.open())
     # Paths become relative to the current folder: those of this machine mean nothing elsewhere.
     record = json.loads(json.dumps(read_provenance(file)).replace(f"{Path.cwd()}/", ""))
