@@ -39,7 +39,7 @@ def wandb_logger(save_dir: str, resume: bool, **options: Any) -> WandbLogger:
 
 
 def _run_id(path: Path, resume: bool) -> str:
-    """The id in the file, where there is one to go on with; otherwise a new one, which the first process writes there."""
+    """The id in the file, where there is one to go on with; otherwise a new one, which the first process writes."""
     if path.exists() and (resume or rank_zero_only.rank):
         return path.read_text(encoding="utf-8").strip()
     name = secrets.token_hex(4)

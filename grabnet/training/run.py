@@ -48,7 +48,7 @@ _FIXED = ("hand_model", "data", "model", "seed", "objective")
 def train(cfg: DictConfig) -> dict[str, float]:
     """Train, test and save.
 
-    The run folder `cfg.run_dir` gets config.yaml, provenance.json (`ended_by` among it), logs/, history.json, checkpoints/,
+    The run folder `cfg.run_dir` gets config.yaml, provenance.json (with `ended_by`), logs/, history.json, checkpoints/,
     model.safetensors and, last, metrics.json (of the best epoch by `cfg.objective`, and test errors of its weights):
     where that exists, the run is complete. Where the trainer has several devices each gets a process of its own, of
     which only the first one writes.
