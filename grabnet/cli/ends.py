@@ -49,7 +49,7 @@ def in_sentences() -> Iterator[None]:
         logging.raiseExceptions = False  # a log that cannot be written is no reason for tracebacks
         try:
             yield
-            sys.stdout.flush()
+            sys.stdout.flush()  # while a disk that is full can still be told
         except Stopped as stop:
             say(_with_notes(stop))
             sys.exit(128 + stop.signum)
@@ -83,7 +83,7 @@ def told(error: BaseException) -> UserError | None:
         return UserError(f"The memory does not suffice ({error or 'no more is to be had'}): ask for less at once.")
     if not isinstance(error, OSError) or error.errno is None:
         return None
-    where = error.filename if error.filename is not None else "A file or a connection"
+    where = error.filename if error.filename is not None else "A file, the output or a connection"
     where, remedy = os.fsdecode(where) if isinstance(where, str | bytes) else str(where), "choose another place"
     if error.errno in _FULL:
         remedy = f"make room, or {remedy}"

@@ -34,9 +34,9 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from grabnet.cli.checking import check, refusal, refuse_removal
-from grabnet.cli.ends import in_sentences, say, told, unexpected
+from grabnet.cli.ends import fail, in_sentences, say, told, unexpected
 from grabnet.cli.help import command_help
-from grabnet.cli.mistakes import refuse_choices, sentence
+from grabnet.cli.mistakes import options, refuse_choices, sentence
 from grabnet.cli.places import refuse_unwritable
 from grabnet.cli.quoting import quoted
 from grabnet.errors import UserError
@@ -82,7 +82,7 @@ def hydra_entry(
             arguments = get_args_parser().parse_intermixed_args(given)
             # Hydra reads values only before or after its options.
             sys.argv[1:] = [*(a for a in given if a not in arguments.overrides), *arguments.overrides]
-            codes = [0]
+            codes, wants_traceback = [0], os.environ.get("HYDRA_FULL_ERROR") == "1"
 
             @functools.wraps(main)
             def job(cfg: DictConfig) -> object:
@@ -92,9 +92,8 @@ def hydra_entry(
                     mistake = (refusal(error) if isinstance(error, InstantiationException) else None) or told(error)
                     if mistake is not None:
                         log.debug("Refused here:", exc_info=error)  # hydra.verbose=true, for who writes a constructor
-                    if HydraConfig.get().mode != RunMode.MULTIRUN:
-                        with in_sentences():  # here, since Hydra announces what a run raises
-                            raise (mistake or error) from None
+                    if HydraConfig.get().mode != RunMode.MULTIRUN and (mistake or not wants_traceback):
+                        fail(mistake or UserError(unexpected(error)))  # here, since Hydra announces what a run raises
                     if not HydraConfig.get().sweeper._target_.startswith("hydra."):  # ours records what failed
                         raise (mistake or error) from None
                     say(str(mistake or unexpected(error)))
@@ -109,6 +108,8 @@ def hydra_entry(
                     with _in_sentences(composer, arguments.overrides):
                         print(command_help(composer, name, arguments.overrides, inspect.getdoc(main) or ""))
                     return 0
+                if arguments.experimental_rerun is not None:
+                    raise UserError("--experimental-rerun would run what a pickle says: give the run's values instead.")
                 if _runs(arguments):
                     cfg = _rehearse(composer, name, arguments.overrides)
                     _refuse_places(cfg, arguments.multirun, [*paths, *lists], written)
@@ -174,7 +175,7 @@ def _hydra(folder: Path, name: str, more: str | None = None) -> Iterator[Hydra]:
 def _runs(arguments: Namespace) -> bool:
     """Whether the command does its work, rather than print what Hydra knows about it."""
     asks = (arguments.cfg, arguments.info, arguments.hydra_help, arguments.shell_completion)
-    return not any(asks) and arguments.experimental_rerun is None
+    return not any(asks)
 
 
 def _rehearse(composer: Hydra, config_name: str, arguments: list[str]) -> DictConfig:
@@ -183,6 +184,8 @@ def _rehearse(composer: Hydra, config_name: str, arguments: list[str]) -> DictCo
     Returns:
         the config; of a sweep, its first.
     """
+    if bare := next((a for a in arguments if "=" not in a and not a.startswith("~")), None):
+        raise UserError(f"The argument '{bare}' has no value: give it as {_meant(composer, config_name, bare)}.")
     choices = [_choices(override) for override in _parsed(arguments)]
     # A sweep is rehearsed with each of its values in turn, those of the others being their first.
     first = [values[0] for values in choices]
@@ -191,6 +194,19 @@ def _rehearse(composer: Hydra, config_name: str, arguments: list[str]) -> DictCo
         for value in values[1:]:
             _composed(composer, config_name, [*first[:i], value, *first[i + 1 :]])
     return cfg
+
+
+def _meant(composer: Hydra, config_name: str, bare: str) -> str:
+    """What an argument without a key may be meant for: a file of a group, or the value that must be given."""
+    defaults = composer.config_loader.compute_defaults_list(config_name, [], RunMode.RUN)
+    groups = {choice.partition("@")[0] for choice in defaults.overrides.known_choices if not choice.startswith("hydra")}
+    if chosen := sorted(f"{group}={bare}" for group in groups if bare in options(composer.config_loader, group)):
+        return " or ".join(chosen)
+    cfg = composer.config_loader.load_configuration(config_name, [], RunMode.RUN)
+    with open_dict(cfg):
+        del cfg["hydra"]
+    missing = sorted(OmegaConf.missing_keys(cfg))
+    return f"{missing[0]}={bare}" if missing else f"{bare}=…"
 
 
 def _parsed(arguments: Sequence[str]) -> list[Override]:
