@@ -134,7 +134,7 @@ def _fit(
         log.warning(
             "trainer.max_time=%s ended the training in epoch %d of %s.",
             cfg.trainer.max_time,
-            trainer.current_epoch + 1,
+            trainer.current_epoch,  # which counts the one that was cut
             trainer.max_epochs,
         )
     if metrics is None:

@@ -59,14 +59,17 @@ class ObjectiveMeasured(L.Callback):
 
 
 def ended_by(trainer: L.Trainer) -> str:
-    """What a training that has ended was ended by: "max_epochs", "max_steps", "early_stopping", "max_time" (within an
-    epoch) or "callback", for another one.
+    """What a training that has ended was ended by: "max_epochs", "max_steps", "early_stopping", "max_time" (also within
+    the last epoch) or "callback", for another one.
     """
+    timers = [callback for callback in trainer.callbacks if isinstance(callback, Timer)]
+    is_cut = not trainer.is_last_batch or trainer.current_epoch != trainer.max_epochs
+    if is_cut and any((timer.time_remaining() or 0) <= 0 for timer in timers):
+        return "max_time"
     if any(isinstance(callback, EarlyStopping) and callback.stopped_epoch for callback in trainer.callbacks):
         return "early_stopping"
     if trainer.max_epochs not in (None, -1) and trainer.current_epoch >= trainer.max_epochs:
         return "max_epochs"
     if 0 <= trainer.max_steps <= trainer.global_step:
         return "max_steps"
-    timers = [callback for callback in trainer.callbacks if isinstance(callback, Timer)]
-    return "max_time" if any((timer.time_remaining() or 0) <= 0 for timer in timers) else "callback"
+    return "callback"
