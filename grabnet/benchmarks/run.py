@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from grabnet.benchmarks.timing import Case, Timing, measure
-from grabnet.cli.checks import at_least
+from grabnet.cli.checks import Batch, Concurrent, Name, Seed, Several, in_range
 from grabnet.errors import UserError
 from grabnet.generation.config import usable_device
 from grabnet.io.files import write_json
@@ -42,18 +42,18 @@ class BenchmarkConfig:
     """
 
     suite: str
-    output: str | None
-    runs: int
-    batch: int | None
-    threads: int | None
+    output: Name | None
+    runs: Several
+    batch: Batch | None
+    threads: Concurrent | None
     device: str
-    seed: int
+    seed: Seed
     train: list[str]
 
     def __post_init__(self):
         if self.suite not in SUITES:
             raise UserError(f"There is no suite '{self.suite}'; choose from {', '.join(SUITES)}.")
-        at_least(self, runs=2, batch=1, threads=1, seed=0)
+        in_range(self)
         usable_device(self.device)
         if self.batch is None:
             object.__setattr__(self, "batch", BATCH[self.suite])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import collections.abc
 import inspect
+import math
 import pydoc
 import types
 import typing
@@ -13,6 +14,7 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
+from grabnet.cli.checks import mismatch
 from grabnet.errors import UserError
 
 _RESERVED = {"_target_", "_partial_", "_recursive_", "_convert_"}
@@ -21,8 +23,9 @@ _RESERVED = {"_target_", "_partial_", "_recursive_", "_convert_"}
 def check(cfg: DictConfig) -> None:
     """Raise a `UserError` for the first value that the class or function it is meant for would not take.
 
-    Every node with a `_target_` is compared with that target's signature: unknown names, and values whose type the
-    annotation excludes. Then the config's own class, where it names one, is made once: its constructor checks ranges.
+    Every node with a `_target_` is compared with that target's signature: unknown names, and values whose type or range
+    (`grabnet.cli.checks`) the annotation excludes. Every number must be finite. Then the config's own class, where it
+    names one, is made once: its constructor checks what depends on several values.
     """
     missing = OmegaConf.missing_keys(cfg)
     if missing:
@@ -33,6 +36,16 @@ def check(cfg: DictConfig) -> None:
             instantiate(cfg, _convert_="all")
         except InstantiationException as error:
             raise refusal(error) or error from None
+
+
+def refuse_removal(cfg: DictConfig, key: str) -> None:
+    """Raise a `UserError` where the value at `key`, which the command line removed, is one that must be given."""
+    where, _, name = key.rpartition(".")
+    node = OmegaConf.select(cfg, where) if where else cfg
+    if isinstance(node, DictConfig) and "_target_" in node:
+        parameter = inspect.signature(_located(node["_target_"], where)).parameters.get(name)
+        if parameter is not None and parameter.default is parameter.empty:
+            raise UserError(f"~{key} removes what {node['_target_']} needs: give it another value instead.")
 
 
 def refusal(error: InstantiationException) -> UserError | None:
@@ -55,6 +68,8 @@ def _walk(node: Any, path: str) -> None:
             _check_target(node, path)
         for key in node:
             _walk(node[key], _joined(path, key))
+    elif isinstance(node, float) and not math.isfinite(node):
+        raise UserError(f"{path} is {node}; it must be a finite number.")
 
 
 def _check_target(node: DictConfig, path: str) -> None:
@@ -66,6 +81,7 @@ def _check_target(node: DictConfig, path: str) -> None:
     if unknown := [k for k in given if k not in parameters and not takes_any]:
         raise UserError(f"{path or 'The config'} has no value {unknown[0]}; it takes {', '.join(parameters)}.")
     try:
+        marked = typing.get_type_hints(target.__init__ if inspect.isclass(target) else target, include_extras=True)
         hints = typing.get_type_hints(target.__init__ if inspect.isclass(target) else target)
     except (NameError, TypeError):  # a library whose annotations only a type checker can resolve
         return
@@ -76,6 +92,13 @@ def _check_target(node: DictConfig, path: str) -> None:
         if not isinstance(value, DictConfig):
             if not _fits(value, hints[key]):
                 raise UserError(f"{name}={_shown(value)} is of the wrong type: it must be {_in_words(hints[key])}.")
+            if found := mismatch(value, marked[key]):
+                raise UserError(f"{name} is {found[0]!r}; it {found[1]}.")
+        elif typing.get_origin(hints[key]) is dict:
+            for child, item in ((child, value[child]) for child in value):
+                if not isinstance(item, DictConfig) and not _fits(item, hint := typing.get_args(hints[key])[1]):
+                    words = _in_words(hint)
+                    raise UserError(f"{name}.{child}={_shown(item)} is of the wrong type: it must be {words}.")
         elif "_target_" in value:
             made, expected = _located(value["_target_"], name), _made(hints[key], bool(value.get("_partial_")))
             if expected is not Any and all(map(inspect.isclass, (made, expected))) and not issubclass(made, expected):
@@ -119,8 +142,8 @@ def _fits(value: Any, hint: Any) -> bool:
     if hint is int:
         return isinstance(value, int) and not isinstance(value, bool)
     if origin in (list, tuple, collections.abc.Sequence) or hint in (list, tuple):
-        return isinstance(value, ListConfig)
-    if origin is collections.abc.Callable:
+        return isinstance(value, ListConfig) and _items_fit(list(value), origin, typing.get_args(hint))
+    if origin in (collections.abc.Callable, dict):
         return False
     if origin is not None or not inspect.isclass(hint):
         return True
@@ -130,6 +153,13 @@ def _fits(value: Any, hint: Any) -> bool:
         return isinstance(value, hint)
     except TypeError:  # a protocol that only a type checker can compare with
         return True
+
+
+def _items_fit(items: list[Any], origin: Any, hints: tuple[Any, ...]) -> bool:
+    """Whether the items of a list can stand for those of the annotation."""
+    if origin is tuple and Ellipsis not in hints:
+        return len(items) == len(hints) and all(map(_fits, items, hints))
+    return not hints or all(_fits(item, hints[0]) for item in items)
 
 
 def _shown(value: Any) -> str:
@@ -146,9 +176,12 @@ def _in_words(hint: Any) -> str:
         return " or ".join(dict.fromkeys(_in_words(option) for option in typing.get_args(hint)))
     if origin is typing.Literal:
         return " or ".join(map(str, typing.get_args(hint)))
+    if origin is tuple and Ellipsis not in typing.get_args(hint):
+        return f"a list of {len(typing.get_args(hint))} values"
     if origin in (list, tuple, collections.abc.Sequence) or hint in (list, tuple):
-        return "a list"
-    if origin is collections.abc.Callable:
+        kinds = {bool: "truth values", str: "strings", int: "ints", float: "numbers"}
+        return f"a list of {kind}" if (kind := kinds.get(next(iter(typing.get_args(hint)), None))) else "a list"
+    if origin in (collections.abc.Callable, dict):
         return "a config with a _target_"
     if hint is type(None):
         return "null"

@@ -4,6 +4,7 @@ Exit codes of every command:
     0: all was done.
     1: what the lines "error: …" name failed, and the rest was done.
     2: it could not start, or had to end, for the reason in the last line, "error: …".
+    130, 143: it was stopped, by Ctrl-C or by SIGTERM.
 """
 
 from __future__ import annotations
@@ -11,13 +12,12 @@ from __future__ import annotations
 import functools
 import inspect
 import logging
+import os
 import sys
-import tempfile
 from argparse import Namespace
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
 
 import hydra
 from hydra import version
@@ -33,9 +33,11 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
-from grabnet.cli.checking import check, refusal
+from grabnet.cli.checking import check, refusal, refuse_removal
+from grabnet.cli.ends import fail, in_sentences, say, told, unexpected
 from grabnet.cli.help import command_help
-from grabnet.cli.mistakes import refuse_choices, sentence
+from grabnet.cli.mistakes import options, refuse_choices, sentence
+from grabnet.cli.places import refuse_unwritable
 from grabnet.cli.quoting import quoted
 from grabnet.errors import UserError
 from grabnet.io.shipped import shipped
@@ -50,7 +52,11 @@ Main = Callable[[DictConfig], object]
 
 
 def hydra_entry(
-    config_name: str, paths: Collection[str] = (), lists: Collection[str] = ()
+    config_name: str,
+    paths: Collection[str] = (),
+    lists: Collection[str] = (),
+    folders: Collection[str] = (),
+    files: Collection[str] = (),
 ) -> Callable[[Main], Callable[[], int]]:
     """Decorate `main(cfg)` as a command that composes `configs/<config_name>.yaml` from the command line.
 
@@ -61,11 +67,13 @@ def hydra_entry(
         config_name: without .yaml.
         paths: values that are a file name each, which may have any characters.
         lists: values that may be several file names.
+        folders, files: those of the paths that the command writes to.
 
     Returns:
         a decorator of `main(cfg)`, which returns an exit code or, for sweeps, the objective as a float. It makes a
         function without arguments of it, which reads the command line and returns the exit code.
     """
+    written = dict.fromkeys(folders, True) | dict.fromkeys(files, False)
 
     def decorate(main: Main) -> Callable[[], int]:
         @functools.wraps(main)
@@ -74,50 +82,49 @@ def hydra_entry(
             arguments = get_args_parser().parse_intermixed_args(given)
             # Hydra reads values only before or after its options.
             sys.argv[1:] = [*(a for a in given if a not in arguments.overrides), *arguments.overrides]
-            codes = [0]
+            codes, wants_traceback = [0], os.environ.get("HYDRA_FULL_ERROR") == "1"
 
             @functools.wraps(main)
             def job(cfg: DictConfig) -> object:
                 try:
                     result = main(cfg)
-                except (UserError, InstantiationException) as error:
-                    mistake = error if isinstance(error, UserError) else refusal(error)
-                    if mistake is None:
-                        raise
-                    log.debug("Refused here:", exc_info=error)  # hydra.verbose=true, for who writes a constructor
-                    if HydraConfig.get().mode != RunMode.MULTIRUN:
-                        fail(mistake)
+                except Exception as error:
+                    mistake = (refusal(error) if isinstance(error, InstantiationException) else None) or told(error)
+                    if mistake is not None:
+                        log.debug("Refused here:", exc_info=error)  # hydra.verbose=true, for who writes a constructor
+                    if HydraConfig.get().mode != RunMode.MULTIRUN and (mistake or not wants_traceback):
+                        fail(mistake or UserError(unexpected(error)))  # here, since Hydra announces what a run raises
                     if not HydraConfig.get().sweeper._target_.startswith("hydra."):  # ours records what failed
-                        raise mistake from None
-                    print(f"error: {mistake}", file=sys.stderr)
+                        raise (mistake or error) from None
+                    say(str(mistake or unexpected(error)))
                     result = 1  # the other runs continue
                 if isinstance(result, int):
                     codes.append(result)
                 return result
 
-            try:
-                folder, name = _place(config_name, arguments)
-                with _hydra(folder, name, arguments.config_dir) as composer:
-                    if arguments.help:
-                        with _in_sentences(composer, arguments.overrides):
-                            print(command_help(composer, name, arguments.overrides, inspect.getdoc(main) or ""))
-                        return 0
-                    if _runs(arguments):
-                        _rehearse(composer, name, arguments.overrides, arguments.multirun)
-            except UserError as error:
-                fail(error)
-            hydra.main(version_base="1.3", config_path=str(folder), config_name=name)(job)()
+            folder, name = _place(config_name, arguments)
+            with _hydra(folder, name, arguments.config_dir) as composer:
+                if arguments.help:
+                    with _in_sentences(composer, arguments.overrides):
+                        print(command_help(composer, name, arguments.overrides, inspect.getdoc(main) or ""))
+                    return 0
+                if arguments.experimental_rerun is not None:
+                    raise UserError("--experimental-rerun would run what a pickle says: give the run's values instead.")
+                if _runs(arguments):
+                    cfg = _rehearse(composer, name, arguments.overrides)
+                    _refuse_places(cfg, arguments.multirun, [*paths, *lists], written)
+            with _hydra_raises():
+                hydra.main(version_base="1.3", config_path=str(folder), config_name=name)(job)()
             return max(codes)
 
-        return entry
+        @functools.wraps(main)
+        def command() -> int:
+            with in_sentences():
+                return entry()
+
+        return command
 
     return decorate
-
-
-def fail(error: UserError) -> NoReturn:
-    """Print the sentence and leave with exit code 2."""
-    print(f"error: {error}", file=sys.stderr)
-    sys.exit(2)
 
 
 def compose(config_name: str, overrides: Sequence[str]) -> DictConfig:
@@ -168,19 +175,38 @@ def _hydra(folder: Path, name: str, more: str | None = None) -> Iterator[Hydra]:
 def _runs(arguments: Namespace) -> bool:
     """Whether the command does its work, rather than print what Hydra knows about it."""
     asks = (arguments.cfg, arguments.info, arguments.hydra_help, arguments.shell_completion)
-    return not any(asks) and arguments.experimental_rerun is None
+    return not any(asks)
 
 
-def _rehearse(composer: Hydra, config_name: str, arguments: list[str], is_sweep: bool) -> None:
-    """Compose and check the config as Hydra will, so that its mistakes surface at once and in one sentence."""
+def _rehearse(composer: Hydra, config_name: str, arguments: list[str]) -> DictConfig:
+    """Compose and check the config as Hydra will, so that its mistakes surface at once and in one sentence.
+
+    Returns:
+        the config; of a sweep, its first.
+    """
+    if bare := next((a for a in arguments if "=" not in a and not a.startswith("~")), None):
+        raise UserError(f"The argument '{bare}' has no value: give it as {_meant(composer, config_name, bare)}.")
     choices = [_choices(override) for override in _parsed(arguments)]
     # A sweep is rehearsed with each of its values in turn, those of the others being their first.
     first = [values[0] for values in choices]
-    _composed(composer, config_name, first)
+    cfg = _composed(composer, config_name, first)
     for i, values in enumerate(choices):
         for value in values[1:]:
             _composed(composer, config_name, [*first[:i], value, *first[i + 1 :]])
-    _try_folder(is_sweep)
+    return cfg
+
+
+def _meant(composer: Hydra, config_name: str, bare: str) -> str:
+    """What an argument without a key may be meant for: a file of a group, or the value that must be given."""
+    defaults = composer.config_loader.compute_defaults_list(config_name, [], RunMode.RUN)
+    groups = {choice.partition("@")[0] for choice in defaults.overrides.known_choices if not choice.startswith("hydra")}
+    if chosen := sorted(f"{group}={bare}" for group in groups if bare in options(composer.config_loader, group)):
+        return " or ".join(chosen)
+    cfg = composer.config_loader.load_configuration(config_name, [], RunMode.RUN)
+    with open_dict(cfg):
+        del cfg["hydra"]
+    missing = sorted(OmegaConf.missing_keys(cfg))
+    return f"{missing[0]}={bare}" if missing else f"{bare}=…"
 
 
 def _parsed(arguments: Sequence[str]) -> list[Override]:
@@ -218,6 +244,9 @@ def _composed(composer: Hydra, config_name: str, arguments: Sequence[str]) -> Di
         HydraConfig.instance().set_config(cfg)  # for interpolations such as ${hydra:runtime.choices.model}
     with open_dict(cfg):
         del cfg["hydra"]
+    for override in _parsed(arguments):
+        if override.is_delete():
+            refuse_removal(cfg, override.key_or_group)
     check(cfg)
     return cfg
 
@@ -234,15 +263,33 @@ def _in_sentences(composer: Hydra, arguments: Sequence[str]) -> Iterator[None]:
         raise UserError(sentence(error, composer.config_loader, keys)) from None
 
 
-def _try_folder(is_sweep: bool) -> None:
-    """Raise a `UserError` where Hydra could not make the folder of the composed run or sweep, or write to it."""
+def _refuse_places(cfg: DictConfig, is_sweep: bool, paths: Collection[str], written: dict[str, bool]) -> None:
+    """Raise a `UserError` for a path that is empty, and where the command could not write what it will.
+
+    Args:
+        paths: keys of all paths.
+        written: whether it is a folder, of the keys of those that are written to.
+    """
+    for key in paths:
+        if OmegaConf.select(cfg, key) == "":
+            raise UserError(f"{key} is empty: give a file or folder as {key}=…")
     settings = HydraConfig.get()
-    if settings.output_subdir is None:  # it writes nothing
-        return
-    name, folder = ("sweep_dir", settings.sweep.dir) if is_sweep else ("run_dir", settings.run.dir)
-    path = Path(folder).absolute()
+    if settings.output_subdir is not None:  # Hydra, too, writes there
+        name, folder = ("sweep_dir", settings.sweep.dir) if is_sweep else ("run_dir", settings.run.dir)
+        refuse_unwritable(folder, name, is_folder=True)
+    for key, is_folder in written.items():
+        if (path := OmegaConf.select(cfg, key)) is not None:
+            refuse_unwritable(path, key, is_folder)
+
+
+@contextmanager
+def _hydra_raises() -> Iterator[None]:
+    """Have Hydra raise what it would print with a traceback."""
+    before = os.environ.get("HYDRA_FULL_ERROR")
+    os.environ["HYDRA_FULL_ERROR"] = "1"
     try:
-        # Not the folder itself: in its name is the time, which will be another when Hydra makes it.
-        tempfile.TemporaryDirectory(dir=next(p for p in (path, *path.parents) if p.exists())).cleanup()
-    except OSError as error:
-        raise UserError(f"{folder} cannot be written to ({error.strerror}): choose another {name}.") from None
+        yield
+    finally:
+        del os.environ["HYDRA_FULL_ERROR"]
+        if before is not None:
+            os.environ["HYDRA_FULL_ERROR"] = before

@@ -31,7 +31,7 @@ def refuse_choices(loader: ConfigLoader, overrides: Sequence[Override]) -> None:
     those of its own code."""
     for override in overrides:
         key = override.key_or_group
-        if override.is_delete() and "." not in key and override.package is None:
+        if override.is_delete() and options(loader, key) and override.package is None:
             raise UserError(f"~{key} removes what the command needs: remove single values, as in ~{key}.<value>.")
         if override.is_sweep_override() or not options(loader, key):
             continue
@@ -57,7 +57,8 @@ def sentence(error: Exception, loader: ConfigLoader, keys: Sequence[str]) -> str
     cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
     if isinstance(cause, ConfigAttributeError | ConfigKeyError) and cause.parent_node is not None:
         return _unknown_key(cause, keys)
-    return " ".join(str(error).split())
+    reason = str(error.__cause__ or "").partition("\n")[0]
+    return " ".join(f"{error}{f' ({reason})' if reason and reason not in str(error) else ''}.".split())
 
 
 def _unknown_key(cause: ConfigAttributeError | ConfigKeyError, keys: Sequence[str]) -> str:

@@ -8,6 +8,8 @@ import sys
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 
+from grabnet.cli.ends import in_sentences, say
+
 # Command: module, and what it does. Each module has a `main()` that reads the command line and returns the exit code;
 # only the chosen one is imported.
 COMMANDS = {
@@ -48,10 +50,16 @@ def main() -> int:
     if name not in COMMANDS:
         close = difflib.get_close_matches(name, COMMANDS, n=1)
         hint = f"did you mean {close[0]}?" if close else f"it can be {', '.join(COMMANDS)}."
-        print(f"error: There is no command '{name}'; {hint}", file=sys.stderr)
+        say(f"There is no command '{name}'; {hint}")
         return 2
     sys.argv = [f"grabnet {name}", *arguments]
-    return import_module(COMMANDS[name][0]).main()
+    return run(name)
+
+
+def run(name: str) -> int:
+    """Run the command of this name on the command line's arguments, and return its exit code."""
+    with in_sentences():  # around the imports, too, which take seconds
+        return import_module(COMMANDS[name][0]).main()
 
 
 def _help() -> str:

@@ -10,7 +10,7 @@ from grabnet.cli.entry import hydra_entry
 PATHS = ("output",)
 
 
-@hydra_entry("benchmark", paths=PATHS)
+@hydra_entry("benchmark", paths=PATHS, files=["output"])
 def main(cfg: DictConfig) -> int:
     """Time the code against plainer baselines.
 

@@ -16,7 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from grabnet.cli.parsed import make_parser, run_parsed
+from grabnet.cli.checks import Concurrent, Count, Seed, Several
+from grabnet.cli.parsed import make_parser, number, run_parsed
 
 
 def hand(arguments: argparse.Namespace) -> None:
@@ -99,45 +100,66 @@ def main() -> int:
         dest="command", required=True, metavar="hand | body | objects | grasps | sequences | film"
     )
 
-    command = commands.add_parser("hand", help="the open hand, right and left, in MANO's schema")
+    command = commands.add_parser(
+        "hand", help="the open hand, right and left, in MANO's schema", folders=["folder"], files=["picture"]
+    )
     command.add_argument("--folder", type=Path, default=Path("assets/open_hand"), help="(default: %(default)s)")
-    command.add_argument("--adults", type=int, default=400, help="hands sampled (default: %(default)s)")
-    command.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
+    command.add_argument("--adults", type=number(Several), default=400, help="hands sampled (default: %(default)s)")
+    command.add_argument("--seed", type=number(Seed), default=0, help="(default: %(default)s)")
     command.add_argument("--picture", type=Path, help="also draw poses and shapes here, such as docs/open_hand.png")
     command.add_argument("--check", action="store_true", help="write nothing: compare what is there with a new one")
     command.set_defaults(call=hand)
 
-    command = commands.add_parser("objects", help="mesh the open objects, one .ply each; those up to date are kept")
+    command = commands.add_parser(
+        "objects",
+        help="mesh the open objects, one .ply each; those up to date are kept",
+        folders=["root"],
+        files=["picture"],
+    )
     command.add_argument("--root", type=Path, default=Path("data/open"), help="dataset folder (default: %(default)s)")
-    command.add_argument("--processes", type=int, default=2, help="objects meshed at once (default: %(default)s)")
+    command.add_argument(
+        "--processes", type=number(Concurrent), default=2, help="objects meshed at once (default: %(default)s)"
+    )
     command.add_argument("--picture", type=Path, help="also draw them all here, such as docs/open_objects.png")
     command.set_defaults(call=objects)
 
-    command = commands.add_parser("grasps", help="grasps of the open objects by ten subjects, checked in simulation")
+    command = commands.add_parser(
+        "grasps", help="grasps of the open objects by ten subjects, checked in simulation", files=["file", "picture"]
+    )
     command.add_argument(
         "--file", type=Path, default=Path("assets/open_grasps/grasps.safetensors"), help="(default: %(default)s)"
     )
     command.add_argument("--objects", nargs="+", metavar="NAME", help="(default: all)")
-    command.add_argument("--per-object", type=int, default=220, help="grasps of each (default: %(default)s)")
-    command.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
-    command.add_argument("--processes", type=int, default=2, help="objects at once (default: %(default)s)")
+    command.add_argument("--per-object", type=number(Count), default=220, help="grasps of each (default: %(default)s)")
+    command.add_argument("--seed", type=number(Seed), default=0, help="(default: %(default)s)")
+    command.add_argument(
+        "--processes", type=number(Concurrent), default=2, help="objects at once (default: %(default)s)"
+    )
     command.add_argument("--picture", type=Path, help="also draw random ones here, such as docs/open_grasps.png")
     command.set_defaults(call=grasps)
 
-    command = commands.add_parser("body", help="the open body in SMPL-X's schema, with the open hands")
+    command = commands.add_parser(
+        "body", help="the open body in SMPL-X's schema, with the open hands", folders=["folder"]
+    )
     command.add_argument("--folder", type=Path, default=Path("assets/open_body"), help="(default: %(default)s)")
     command.add_argument("--check", action="store_true", help="write nothing: compare what is there with a new one")
     command.set_defaults(call=body)
 
-    command = commands.add_parser("sequences", help="recordings of open bodies with open objects; those there are kept")
+    command = commands.add_parser(
+        "sequences", help="recordings of open bodies with open objects; those there are kept", folders=["root"]
+    )
     command.add_argument("--root", type=Path, default=Path("data/open"), help="dataset folder (default: %(default)s)")
-    command.add_argument("--number", type=int, default=150, help="(default: %(default)s)")
+    command.add_argument("--number", type=number(Count), default=150, help="(default: %(default)s)")
     command.add_argument("--subjects", nargs="+", metavar="NAME", help="such as s1 s7 (default: all ten)")
-    command.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
-    command.add_argument("--processes", type=int, default=2, help="sequences at once (default: %(default)s)")
+    command.add_argument("--seed", type=number(Seed), default=0, help="(default: %(default)s)")
+    command.add_argument(
+        "--processes", type=number(Concurrent), default=2, help="sequences at once (default: %(default)s)"
+    )
     command.set_defaults(call=sequences)
 
-    command = commands.add_parser("film", help="draw sequences, in motion (.webp, .gif) or as a strip of frames (.png)")
+    command = commands.add_parser(
+        "film", help="draw sequences, in motion (.webp, .gif) or as a strip of frames (.png)", files=["output"]
+    )
     command.add_argument("files", type=Path, nargs="+", help="sequence files")
     command.add_argument("--root", type=Path, default=Path("data/open"), help="their folder (default: %(default)s)")
     command.add_argument("--output", type=Path, default=Path("sequences.webp"), help="(default: %(default)s)")

@@ -12,7 +12,7 @@ PATHS = ("runs", "output", "cache_dir", "source.coarsenet", *DATA_PATHS)
 LISTS = ("models", "grasps")
 
 
-@hydra_entry("evaluate", paths=PATHS, lists=LISTS)
+@hydra_entry("evaluate", paths=PATHS, lists=LISTS, folders=["output"])
 def main(cfg: DictConfig) -> int:
     """Measure grasps of networks or of any other method, and write a report, tables and contact maps.
 

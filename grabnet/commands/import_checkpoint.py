@@ -27,7 +27,7 @@ def main() -> int:
         (coarsenet, "--bps", "the published bps.npz, whose points the weights hold for"),
         (refinenet, "--hand-model", "MANO_RIGHT.npz or .pkl, which the weights hold for"),
     ):
-        command = commands.add_parser(call.__name__)
+        command = commands.add_parser(call.__name__, files=["output"])
         command.add_argument("checkpoint", type=Path, help=f"{call.__name__}.pt")
         command.add_argument(option, type=Path, required=True, help=about)
         output = OUTPUTS / call.__name__ / FILE_NAME

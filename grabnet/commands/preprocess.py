@@ -10,7 +10,7 @@ from grabnet.cli.entry import hydra_entry
 PATHS = ("data.root", "data.models", "data.contact_output", "output", "cache_dir")
 
 
-@hydra_entry("preprocess/preprocess", paths=PATHS)
+@hydra_entry("preprocess/preprocess", paths=PATHS, folders=["output", "data.contact_output"])
 def main(cfg: DictConfig) -> int:
     """Make training frames of recordings.
 

@@ -11,7 +11,7 @@ PATHS = ("output", "runs", "hand_model", "cache_dir")
 LISTS = ("mesh", "model", "format")
 
 
-@hydra_entry("sample/sample", paths=PATHS, lists=LISTS)
+@hydra_entry("sample/sample", paths=PATHS, lists=LISTS, folders=["output"])
 def main(cfg: DictConfig) -> int:
     """Draw grasps of meshes, and write them with pictures and a page.
 

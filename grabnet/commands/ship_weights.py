@@ -16,7 +16,7 @@ from grabnet.io.files import replacing, sha256, write_json
 
 
 def main() -> int:
-    parser = make_parser(__doc__)
+    parser = make_parser(__doc__, folders=["folder"])
     parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="where the copy goes")
     parser.set_defaults(call=lambda arguments: ship(arguments.run, arguments.folder))
@@ -28,9 +28,12 @@ def ship(run: Path, folder: Path) -> None:
     import torch
 
     from grabnet.body.hand import HandModel
+    from grabnet.models.trained import is_trial
     from grabnet.models.weights import FILE_NAME, load_network, read_provenance, save_network, weights_file
 
     file = weights_file(run)
+    if is_trial(file):
+        raise UserError(f"{file} was only tried out (trial=true, as debug=… sets it): train it for real before.")
     network = load_network(file, HandModel.open())
     record = read_provenance(file)
     if missing := [name for name in ("config", "metrics") if not isinstance(record.get(name), dict)]:

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
 from grabnet.body.hand import HandModel
-from grabnet.cli.checks import at_least
+from grabnet.cli.checks import Count, Distance, Seed, Several, in_range
 from grabnet.data.batches import BatchAssembler, GraspBatch
 from grabnet.data.frames import Frames, FramesStore
 from grabnet.data.measuring import compute_targets
@@ -61,18 +61,18 @@ class GraspDataModule(L.LightningDataModule):
         root: str,
         split: Split,
         objects_dir: str | None = None,
-        batch_size: int = 256,
-        min_steps: int = 1,
+        batch_size: Several = 256,
+        min_steps: Count = 1,
         centre: str = "mean_vertex",
-        object_points: int = 2048,
+        object_points: Count = 2048,
         distance_to: str = "surface",
         basis_to: str = "surface",
-        points_in_use: int = 10_000,
-        contact_distance: float = 0.0045,
+        points_in_use: Count = 10_000,
+        contact_distance: Distance = 0.0045,
         rotate: bool = True,
-        max_frames: int | None = None,
+        max_frames: Several | None = None,
         cache_dir: str | None = None,
-        seed: int = 0,
+        seed: Seed = 0,
         source: FrameSource | None = None,
     ):
         super().__init__()
@@ -94,7 +94,7 @@ class GraspDataModule(L.LightningDataModule):
         self.seed = seed
         self.source = source
         # Of one frame there are no batch statistics.
-        at_least(self, "data.", batch_size=2, min_steps=1, max_frames=2)
+        in_range(self, "data.")
         self.assembler: BatchAssembler | None = None
         self._frames: dict[str, Frames] = {}
         self._targets: dict[str, Targets] = {}

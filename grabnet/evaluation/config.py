@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from grabnet.cli.checks import at_least, one_of, positive
+from grabnet.cli.checks import Amount, Concurrent, Count, Distance, Name, Seed, Several, in_range, one_of
 from grabnet.data.splits import SPLITS
 from grabnet.generation.config import usable_device
 
@@ -24,22 +24,22 @@ class EvaluationConfig:
     models: str | list[Any]
     runs: str
     grasps: str | list[str] | None
-    output: str
+    output: Name
     split: str
     only: list[str] | None
-    n: int
-    seed: int
-    contact_distance: float
-    halo_samples: int
-    vertex_samples: int
-    contact_samples: int
-    max_ground_truth: int
-    draws: int
+    n: Count
+    seed: Seed
+    contact_distance: Distance
+    halo_samples: Count
+    vertex_samples: Count
+    contact_samples: Count
+    max_ground_truth: Several
+    draws: Several
     reconstruction: bool
-    simulated: int
-    pictures: int
-    scenes: int
-    processes: int
+    simulated: Amount
+    pictures: Amount
+    scenes: Amount
+    processes: Concurrent
     device: str
     cache_dir: str | None
     objects: dict[str, Any]
@@ -50,10 +50,8 @@ class EvaluationConfig:
     physics: dict[str, Any]
 
     def __post_init__(self):
-        at_least(self, n=1, halo_samples=1, vertex_samples=1, contact_samples=1, processes=1)
-        at_least(self, max_ground_truth=2, draws=2, seed=0, simulated=0, pictures=0, scenes=0)
+        in_range(self)
         one_of(self, split=SPLITS)
-        positive(self, "contact_distance")
         usable_device(self.device)
 
     @property

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import torch
 
-from grabnet.cli.checks import at_least, one_of, positive
+from grabnet.cli.checks import Amount, Batch, Betas, Count, Distance, Filled, Name, Positive, Seed, in_range, one_of
 from grabnet.contact.rules import ContactRules
 from grabnet.errors import UserError
 from grabnet.generation.formats import FORMATS
@@ -22,41 +23,38 @@ class SamplingConfig:
         UserError: a value that is wrong whatever the mesh.
     """
 
-    mesh: str | list[str]
-    output: str
-    n: int
-    seed: int
+    mesh: Name | Annotated[list[Name], Filled()]
+    output: Name
+    n: Count
+    seed: Seed
     hand: str
     format: str | list[str] | None
-    scale: float
-    max_size: float
-    min_size: float
+    scale: Positive
+    max_size: Positive
+    min_size: Positive
     up: str | None
     orientation: str
-    betas: list[float] | None
-    model: str | list[str]
+    betas: Betas | None
+    model: Name | Annotated[list[Name], Filled()]
     refine: bool
     runs: str
     hand_model: str | None
-    contact_distance: float
+    contact_distance: Distance
     contact_maps: bool
-    sheet: int
-    page: int
-    batch_size: int
-    n_turns: int
+    sheet: Amount
+    page: Amount
+    batch_size: Batch
+    n_turns: Batch
     device: str
     cache_dir: str | None
     contact: ContactRules = field(default_factory=ContactRules)
 
     def __post_init__(self):
-        at_least(self, n=1, seed=0, batch_size=1, n_turns=1, sheet=0, page=0)
+        in_range(self)
         one_of(self, hand=SIDES, orientation=ORIENTATIONS)
         file_to_object("", self.scale, self.up)  # refuses a wrong scale or axis
-        if wrong := [b for b in self.betas or [] if not isinstance(b, float | int)]:
-            raise UserError(f"betas holds {wrong[0]!r}; it must be a list of numbers.")
         if unknown := [f for f in listed(self.format) if f not in FORMATS]:
             raise UserError(f"format is '{unknown[0]}'; it can be any of {', '.join(FORMATS)}.")
-        positive(self, "contact_distance")
         usable_device(self.device)
 
 

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel, HandParameters
-from grabnet.cli.checks import at_least, one_of, positive
+from grabnet.cli.checks import Batch, Betas, Count, Distance, Positive, Seed, in_range, one_of
 from grabnet.contact.contacts import CONTACT_DISTANCE, Contacts
 from grabnet.errors import UserError
 from grabnet.generation.grasps import Grasps
@@ -49,12 +49,12 @@ class Grabber(nn.Module):
         weights: files of the generator's networks, by kind, where it was loaded from files.
     """
 
-    def __init__(self, generator: GraspGenerator, hand: HandModel, batch_size: int = 256, n_turns: int = 128):
+    def __init__(self, generator: GraspGenerator, hand: HandModel, batch_size: Batch = 256, n_turns: Batch = 128):
         super().__init__()
         self.generator, self.hand = generator.eval(), hand
         self.batch_size = batch_size
         self.n_turns = n_turns
-        at_least(self, batch_size=1, n_turns=1)
+        in_range(self)
         self.weights: dict[str, Path] = {}
         self.register_buffer("finger", Anatomy.of(hand).finger, persistent=False)
 
@@ -91,18 +91,18 @@ class Grabber(nn.Module):
     def forward(
         self,
         mesh: Mesh | str | Path,
-        n: int = 20,
-        seed: int = 0,
+        n: Count = 20,
+        seed: Seed = 0,
         side: str = "right",
         orientation: str = "upright",
-        betas: Tensor | Sequence[float] | None = None,
+        betas: Tensor | Betas | None = None,
         *,
-        scale: float = 1.0,
+        scale: Positive = 1.0,
         up: str | None = None,
-        max_size: float = 0.4,
-        min_size: float = 0.01,
+        max_size: Positive = 0.4,
+        min_size: Positive = 0.01,
         to_object: np.ndarray | None = None,
-        contact_distance: float = CONTACT_DISTANCE,
+        contact_distance: Distance = CONTACT_DISTANCE,
         cache_dir: str | Path | None = None,
     ) -> Grasps:
         """Sample n grasps of a mesh.
@@ -128,9 +128,9 @@ class Grabber(nn.Module):
         """
         device = self.finger.device
         asked = SimpleNamespace(n=n, seed=seed, side=side, orientation=orientation, contact_distance=contact_distance)
-        at_least(asked, n=1, seed=0)
+        asked.betas = betas.tolist() if isinstance(betas, Tensor) else betas
+        in_range(asked, of=Grabber.forward)
         one_of(asked, side=SIDES, orientation=ORIENTATIONS)
-        positive(asked, "contact_distance")
         placed = load_object(mesh, scale, up, max_size, min_size, to_object)
         betas = self._betas(betas)
         rest = self.hand.shaped(betas)

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from grabnet.cli.checks import Count, Positive, Seed
 from grabnet.errors import UserError
 from grabnet.geometry.queries import MeshQuery
 from grabnet.io.npz import read_npz
@@ -29,7 +30,7 @@ class BPS(nn.Module):
             mostly neighbours in it, which makes lookups in an atlas twice as fast.
     """
 
-    def __init__(self, n_points: int = 4096, radius: float = 0.15, seed: int = 0):
+    def __init__(self, n_points: Count = 4096, radius: Positive = 0.15, seed: Seed = 0):
         super().__init__()
         if n_points < 1:
             raise UserError(f"n_points is {n_points}; a basis needs at least 1 point.")

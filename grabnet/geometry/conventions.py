@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from grabnet.cli.checks import at_least, one_of
+from grabnet.cli.checks import Count, in_range, one_of
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.nearest import BLOCK, by_neighbourhood
@@ -43,14 +43,14 @@ class Conventions:
     centre: str = "mean_vertex"
     distance_to: str = "surface"
     basis_to: str = "surface"
-    object_points: int = 2048
-    points_in_use: int = 10_000
+    object_points: Count = 2048
+    points_in_use: Count = 10_000
     rotate: bool = True
     hand: str | None = None
 
     def __post_init__(self):
         one_of(self, "data.", centre=CENTRES, distance_to=SHAPES, basis_to=SHAPES, rotate=(True, False))
-        at_least(self, "data.", object_points=1, points_in_use=1)
+        in_range(self, "data.")
 
     def shown(self, aspects: tuple[str, ...] = ASPECTS) -> dict[str, str | int]:
         """Settings that decide these aspects of what a network sees of an object, by name."""

@@ -17,10 +17,27 @@ import numpy as np
 from grabnet.errors import UserError
 from grabnet.io.litter import clear_litter, temporary_beside
 
-# What a disk says that takes no more, and a place where no folder can be made.
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-_FORBIDDEN = {errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.ENOENT}
-DISK_ERRORS = _FULL | _FORBIDDEN
+# What a disk says that takes no more, and a place where nothing can be made.
+DISK_ERRORS = {
+    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
+    *(errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.ENOENT),
+}
+
+
+@contextmanager
+def naming(path: str | Path, temporary: Path | None = None) -> Iterator[None]:
+    """Have what the system refuses in the block name `path` where it names nothing, as a full disk does.
+
+    Args:
+        temporary: how the paths begin that stand for `path` until it is complete, which are named so, too.
+    """
+    try:
+        yield
+    except OSError as error:
+        named = None if error.filename is None else os.fsdecode(error.filename)
+        if named is None or (temporary is not None and named.startswith(str(temporary))):
+            error.filename = str(path)
+        raise
 
 
 @contextmanager
@@ -31,7 +48,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with temporary_beside(path) as temporary:
+    with naming(path, path.parent / f".{path.stem}-"), temporary_beside(path) as temporary:
         yield temporary
         # Temporary files are private; what we publish follows the user's umask like any other file.
         umask = os.umask(0)
@@ -59,7 +76,7 @@ def filling(folder: str | Path, names: Sequence[str]) -> Iterator[Path]:
         )
     folder.parent.mkdir(parents=True, exist_ok=True)
     clear_litter(folder.parent, folder.name, contents=names)
-    with temporary_beside(folder, is_folder=True) as temporary:
+    with naming(folder, folder.parent / f".{folder.stem}-"), temporary_beside(folder, is_folder=True) as temporary:
         yield temporary
         folder.mkdir(exist_ok=True)
         for name in reversed(names):

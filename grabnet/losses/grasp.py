@@ -7,6 +7,7 @@ from torch import Tensor, nn
 from torch.distributions import Normal
 
 from grabnet.body.hand import HandModel
+from grabnet.cli.checks import Share, Weight
 from grabnet.data.batches import GraspBatch
 from grabnet.errors import UserError
 from grabnet.geometry.nearest import NearestVertex
@@ -39,10 +40,10 @@ class ReconstructionLoss(nn.Module):
         self,
         hand: HandModel,
         contact: Tensor,
-        vertex: float,
-        edge: float,
-        hand_to_object: float,
-        weight_exponent: float,
+        vertex: Weight,
+        edge: Weight,
+        hand_to_object: Weight,
+        weight_exponent: Weight,
         contact_weights: str,
         evened_vertices: bool,
     ):
@@ -82,12 +83,12 @@ class CoarseNetLoss(ReconstructionLoss):
         self,
         hand: HandModel,
         contact: Tensor,
-        vertex: float,
-        edge: float,
-        hand_to_object: float,
-        object_to_hand: float,
-        kl: float,
-        weight_exponent: float,
+        vertex: Weight,
+        edge: Weight,
+        hand_to_object: Weight,
+        object_to_hand: Weight,
+        kl: Share,
+        weight_exponent: Weight,
         contact_weights: str,
         point_weights: PointWeights,
     ):
@@ -117,11 +118,11 @@ class RefineNetLoss(ReconstructionLoss):
         self,
         hand: HandModel,
         contact: Tensor,
-        vertex: float,
-        edge: float,
-        hand_to_object: float,
-        scale: float,
-        weight_exponent: float,
+        vertex: Weight,
+        edge: Weight,
+        hand_to_object: Weight,
+        scale: Weight,
+        weight_exponent: Weight,
         contact_weights: str,
     ):
         super().__init__(

@@ -6,6 +6,9 @@ import torch
 from torch import Tensor
 from torch.distributions import Normal
 
+from grabnet.cli.checks import Weight
+from grabnet.errors import UserError
+
 
 def kl_to_standard_normal(posterior: Normal) -> Tensor:
     """KL(q ‖ N(0, 1)) summed over latent dimensions, averaged over the batch; closed form."""
@@ -36,7 +39,9 @@ class PointWeights:
         far, penetrating: weights.
     """
 
-    def __init__(self, near: tuple[float, float] = (-0.005, 0.010), far: float = 0.1, penetrating: float = 1.5):
+    def __init__(self, near: tuple[float, float] = (-0.005, 0.010), far: Weight = 0.1, penetrating: Weight = 1.5):
+        if not near[0] < near[1]:
+            raise UserError(f"near is {list(near)}; its first distance must be below its second.")
         self.near, self.far, self.penetrating = tuple(near), far, penetrating
 
     def __call__(self, distances: Tensor, true: Tensor) -> Tensor:

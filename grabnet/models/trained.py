@@ -76,8 +76,9 @@ def find_network(kind: str, path: str | Path | None, runs: str | Path = "runs") 
 
     Args:
         kind: "CoarseNet" or "RefineNet".
-        path: run folder or weights file; the newest complete run anywhere below `runs` when omitted, but none that went
-            on from a trained network of its kind itself: the runs of a sweep do not start from each other.
+        path: run folder or weights file; the newest complete run anywhere below `runs` when omitted, but no trial, and
+            none that went on from a trained network of its kind itself: the runs of a sweep do not start from each
+            other.
 
     Raises:
         UserError: no such file, or no trained network of this kind below `runs`.
@@ -118,15 +119,21 @@ def _makes_grasps(kind: str) -> bool:
 
 
 def _newest(runs: str | Path, from_scratch: bool = False) -> dict[str, Path]:
-    """The newest weights of each kind of network anywhere below `runs`, the newest of all last."""
+    """The newest weights of each kind of network anywhere below `runs`, the newest of all last; none of a trial."""
     files = sorted(Path(runs).expanduser().rglob(FILE_NAME), key=lambda f: f.stat().st_mtime)
     newest: dict[str, Path] = {}
     for file in files:
         kind = network_kind(file)
-        if kind in NETWORKS and not (from_scratch and _went_on(file, kind)):
+        if kind in NETWORKS and not is_trial(file) and not (from_scratch and _went_on(file, kind)):
             newest.pop(kind, None)
             newest[kind] = file
     return newest
+
+
+def is_trial(path: Path) -> bool:
+    """Whether a network's training was only tried out, as debug=default does."""
+    config = read_provenance(path).get("config")
+    return isinstance(config, dict) and bool(config.get("trial"))
 
 
 def _went_on(path: Path, kind: str) -> bool:

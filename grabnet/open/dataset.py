@@ -13,6 +13,7 @@ from torch import Tensor
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
+from grabnet.cli.checks import Seed, Weight
 from grabnet.data.sources.base import FrameSource, HandFrames
 from grabnet.geometry.rotations import about_z, axis_angle_to_matrix
 from grabnet.io.files import sha256
@@ -34,7 +35,7 @@ class OpenData(FrameSource):
         seed: of lean and heading.
     """
 
-    def __init__(self, root: str, tilt: float, seed: int):
+    def __init__(self, root: str, tilt: Weight, seed: Seed):
         self.root = Path(root)
         self.tilt = tilt
         self.seed = seed

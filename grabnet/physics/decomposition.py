@@ -6,14 +6,14 @@ import json
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import pyvista
 from safetensors.numpy import load, save
 from scipy.spatial import ConvexHull, QhullError
 
-from grabnet.errors import UserError
+from grabnet.cli.checks import Count, Range, in_range
 from grabnet.geometry.intersections import MovingMesh, find_crossings
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
@@ -38,23 +38,18 @@ class DecompositionConfig:
         UserError: a value out of range.
     """
 
-    concavity: float
-    max_faces: int
-    max_corners: int
-    remeshing: int
-    resolution: int
-    nodes: int
-    iterations: int
-    seed: int
-    time_limit: float
+    concavity: Annotated[float, Range(0.01, 1)]
+    max_faces: Annotated[int, Range(100, 1_000_000)]
+    max_corners: Annotated[int, Range(32, 65_536)]
+    remeshing: Annotated[int, Range(1, 1000)]
+    resolution: Count
+    nodes: Count
+    iterations: Count
+    seed: Annotated[int, Range(0, 2**31 - 1)]
+    time_limit: Annotated[float, Range(1)]
 
     def __post_init__(self):
-        if not 0.01 <= self.concavity <= 1:
-            raise UserError(f"decomposition.concavity={self.concavity} is out of range; it can be 0.01 to 1.")
-        least = {"max_faces": 100, "max_corners": 32, "resolution": 1, "nodes": 1, "iterations": 1, "time_limit": 1}
-        for name, lowest in least.items():
-            if (value := getattr(self, name)) < lowest:
-                raise UserError(f"decomposition.{name}={value} is too small; it must be at least {lowest}.")
+        in_range(self, "physics.decomposition.")
 
 
 def convex_pieces(mesh: Mesh, config: DecompositionConfig, cache_dir: str | Path | None = None) -> list[np.ndarray]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from grabnet.body.skeleton import LEFT_HAND_PARTS, N_PARTS, RIGHT_FINGER_PARTS, RIGHT_HAND_PARTS
-from grabnet.cli.checks import at_least, one_of
+from grabnet.cli.checks import Amount, Count, Weight, in_range, one_of
 from grabnet.errors import UserError
 from grabnet.preprocess.grasp_track import GraspTrack
 
@@ -36,17 +36,17 @@ class FrameFilter:
 
     right_hand: bool
     left_hand_free: bool
-    min_lift: float
+    min_lift: Weight
     thumb: bool
-    min_other_fingers: int
-    min_finger_vertices: int
-    every: int
+    min_other_fingers: Amount
+    min_finger_vertices: Count
+    every: Count
     height: str
     mirror_left: bool
 
     def __post_init__(self):
         one_of(self, "filter.", height=("frame0", "table"))
-        at_least(self, "filter.", every=1, min_finger_vertices=1, min_other_fingers=0, min_lift=0)
+        in_range(self, "filter.")
         if self.min_other_fingers > (most := len(RIGHT_FINGER_PARTS) - 1):
             raise UserError(f"filter.min_other_fingers is {self.min_other_fingers}; there are {most}.")
 

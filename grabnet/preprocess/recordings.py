@@ -15,7 +15,7 @@ from torch import Tensor
 
 from grabnet.body.hand import OPEN_HANDS, HandModel
 from grabnet.body.whole import OPEN_BODY, BodyModel
-from grabnet.cli.checks import at_least, one_of
+from grabnet.cli.checks import Amount, Count, Distance, Name, in_range, one_of
 from grabnet.contact.folder import ContactFolder
 from grabnet.contact.rules import ContactRules
 from grabnet.contact.sequences import annotate, posed
@@ -117,18 +117,18 @@ class GrabRecordings(RecordingSource):
         UserError: another `contact`, or values of what is written that do not go together.
     """
 
-    root: str
-    models: str | None
+    root: Name
+    models: Name | None
     contact: str
-    contact_distance: float
-    every: int
+    contact_distance: Distance
+    every: Count
     rules: ContactRules
-    contact_output: str | None = None
-    contact_frame: int | None = None
+    contact_output: Name | None = None
+    contact_frame: Amount | None = None
 
     def __post_init__(self):
         one_of(self, "data.", contact=LABELS)
-        at_least(self, "data.", contact_frame=0)
+        in_range(self, "data.")
         if self.contact_output is not None:
             if self.contact != "recompute":
                 raise UserError("data.contact_output takes labels found here: give data.contact=recompute, too.")

@@ -1,38 +1,15 @@
-"""Continuing a store: made of the same files only, and by one process at a time."""
+"""Continuing a store: made of the same files only."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection
 from pathlib import Path
-
-from filelock import FileLock, Timeout
 
 from grabnet.data.frames import read_header, shard_names, shard_path
 from grabnet.data.splits import MIRRORED_SUFFIX
 from grabnet.errors import UserError
 from grabnet.io.files import existing, sha256
 from grabnet.preprocess.recordings import RecordingSource
-
-LOCK = ".lock"  # stays in the store; only the run that holds the system's lock on it writes there
-
-
-@contextmanager
-def alone_in(store: Path) -> Iterator[None]:
-    """Have the store's folder for this process alone.
-
-    Raises:
-        UserError: another process has it, or it cannot be made.
-    """
-    try:
-        store.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(store / LOCK).acquire(timeout=0)
-    except Timeout:
-        raise UserError(f"Another run is at work on {store}: wait for it, or choose another output=.") from None
-    except OSError as error:
-        raise UserError(f"{store} cannot be used ({error.strerror}): choose another output=.") from None
-    with lock:
-        yield
 
 
 def shards_done(store: Path, recordings: RecordingSource, names: Collection[str], mirrored: bool) -> set[str]:

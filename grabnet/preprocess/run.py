@@ -21,7 +21,7 @@ from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from grabnet.cli.checks import at_least, one_of
+from grabnet.cli.checks import Concurrent, Count, Distance, Name, in_range, one_of
 from grabnet.contact.rules import ContactRules
 from grabnet.data.frames import FORMAT as STORE_FORMAT
 from grabnet.data.frames import read_header, shard_names, shard_path, start_store
@@ -30,12 +30,13 @@ from grabnet.data.splits import MIRRORED_SUFFIX, Split
 from grabnet.errors import UserError
 from grabnet.io.files import write_json
 from grabnet.io.litter import clear_litter
+from grabnet.io.locks import alone_in
 from grabnet.io.provenance import provenance
 from grabnet.preprocess.backends import Outcome, by_dask, by_joblib, machine_cores
 from grabnet.preprocess.filtering import FrameFilter
 from grabnet.preprocess.finishing import HEADER, Finishing, other_hands
 from grabnet.preprocess.recordings import RecordingSource
-from grabnet.preprocess.resuming import alone_in, shards_done
+from grabnet.preprocess.resuming import shards_done
 from grabnet.preprocess.sequence_work import FORMAT, SequenceWork, peak_memory
 
 BACKENDS = ("joblib", "dask")
@@ -54,22 +55,20 @@ class PreprocessConfig:
     data: RecordingSource
     filter: FrameFilter
     split: Split
-    output: str
-    contact_distance: float
+    output: Name
+    contact_distance: Distance
     pictures: bool
     cache_dir: str | None
     backend: str
-    workers: int
+    workers: Concurrent
     dask_address: str | None
-    threads: int | None
-    max_deaths: int
+    threads: Concurrent | None
+    max_deaths: Count
     contact: ContactRules = field(default_factory=ContactRules)  # for `data`, whose config refers to it
 
     def __post_init__(self):
         one_of(self, backend=BACKENDS)
-        at_least(self, workers=1, threads=1, max_deaths=1)
-        if not self.contact_distance > 0:
-            raise UserError(f"contact_distance is {self.contact_distance}; it must be a length in metres above 0.")
+        in_range(self)
         if (self.backend == "dask") != (self.dask_address is not None):
             raise UserError("backend=dask and dask_address=tcp://… belong together: give both or neither.")
 
@@ -121,7 +120,7 @@ def preprocess(config: PreprocessConfig) -> list[Outcome]:
     """
     names, start = config.data.names(), time.monotonic()
     recipe = config.recipe()
-    with alone_in(config.store):
+    with alone_in(config.store, "output"):
         start_store(config.store, recipe, f"delete {config.store}, or choose another output=")
         clear_litter(config.root, *_RECORDS, str(OBJECT_MESHES / "*.*"))
         config.data.start()

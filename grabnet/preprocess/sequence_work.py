@@ -14,7 +14,6 @@ import torch
 
 from grabnet.data.sources.base import write_frames
 from grabnet.errors import UserError, printable
-from grabnet.io.files import DISK_ERRORS
 from grabnet.preprocess.backends import Outcome
 from grabnet.preprocess.filtering import FrameFilter, frames_left
 from grabnet.preprocess.grasp_track import mirrored
@@ -45,7 +44,7 @@ class SequenceWork:
         """Never raises for what is wrong with the one recording.
 
         Raises:
-            UserError: the disk takes no more.
+            OSError: the store cannot be written to.
         """
         torch.set_num_threads(self.threads)
         failure = None
@@ -54,9 +53,8 @@ class SequenceWork:
         except UserError as error:
             failure = str(error)
         except Exception as error:
-            of_store = isinstance(error, OSError) and Path(error.filename or self.store).is_relative_to(self.store)
-            if of_store and error.errno in DISK_ERRORS:
-                raise UserError(f"{self.store} cannot be written to ({error.strerror}): make room there.") from None
+            if isinstance(error, OSError) and error.errno and Path(error.filename or "").is_relative_to(self.store):
+                raise
             at = [frame for frame in traceback.extract_tb(error.__traceback__) if "grabnet" in frame.filename][-1]
             failure = printable(f"{type(error).__name__}: {error} ({Path(at.filename).name}, line {at.lineno})")
         return Outcome(name, failure, f"{socket.gethostname()}:{os.getpid()}", peak_memory())

@@ -7,6 +7,7 @@ from statistics import median
 
 import lightning as L
 
+from grabnet.cli.checks import Amount, Count
 from grabnet.training.ending import RunPruned
 from grabnet.training.history import Epoch, History, best_epoch, read_history
 
@@ -27,7 +28,7 @@ class MedianPruning(L.Callback):
         RunPruned: from the epoch's end, through `Trainer.fit`.
     """
 
-    def __init__(self, siblings: str, objective: str, min_epochs: int, min_siblings: int):
+    def __init__(self, siblings: str, objective: str, min_epochs: Amount, min_siblings: Count):
         self.siblings, self.objective = Path(siblings), objective
         self.min_epochs, self.min_siblings = min_epochs, min_siblings
 

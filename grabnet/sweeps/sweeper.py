@@ -17,7 +17,7 @@ from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
-from grabnet.cli.entry import fail
+from grabnet.cli.ends import fail
 from grabnet.errors import UserError
 from grabnet.sweeps.runs import FAILED, UNFINISHED, Run
 

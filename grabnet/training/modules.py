@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import lightning as L
 import torch
@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torch.distributions import Normal
 
 from grabnet.body.hand import HandModel, HandParameters
+from grabnet.cli.checks import Batch, Range, Share
 from grabnet.data.batches import GraspBatch
 from grabnet.data.splits import SPLITS
 from grabnet.errors import UserError
@@ -197,9 +198,9 @@ class CoarseNetTraining(GraspTraining):
         hand: HandModel,
         contact: Tensor,
         bps: BPS,
-        latent_dim: int,
-        width: int,
-        n_hidden: int,
+        latent_dim: Batch,
+        width: Batch,
+        n_hidden: Batch,
         loss: Callable[..., CoarseNetLoss],
         optimizer: MakeOptimizer,
         scheduler: MakeScheduler,
@@ -238,10 +239,10 @@ class RefineNetTraining(GraspTraining):
         self,
         hand: HandModel,
         contact: Tensor,
-        iterations: int,
-        width: int,
-        n_hidden: int,
-        dropout: float,
+        iterations: Annotated[int, Range(1, 1000)],
+        width: Batch,
+        n_hidden: Batch,
+        dropout: Share,
         source: RefineInput,
         loss: Callable[..., RefineNetLoss],
         optimizer: MakeOptimizer,

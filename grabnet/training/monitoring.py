@@ -14,6 +14,7 @@ from lightning.pytorch.loggers import WandbLogger
 from torch import Tensor
 
 from grabnet.body.anatomy import Anatomy
+from grabnet.cli.checks import Amount, Count, Seed
 from grabnet.contact.contacts import Contacts
 from grabnet.data.batches import GraspBatch
 from grabnet.data.datamodule import GraspDataModule
@@ -38,7 +39,7 @@ class GraspMonitor(L.Callback):
         seed: of codes and disturbances.
     """
 
-    def __init__(self, grasps: int, pictures: int, draw_every_n_epochs: int, folder: str, seed: int):
+    def __init__(self, grasps: Count, pictures: Amount, draw_every_n_epochs: Count, folder: str, seed: Seed):
         self.n_grasps, self.n_pictures, self.draw_every_n_epochs = grasps, pictures, draw_every_n_epochs
         self.folder, self.seed = Path(folder), seed
         self.finger: Tensor | None = None

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from grabnet.body.hand import HandModel, HandParameters
+from grabnet.cli.checks import Weight
 from grabnet.data.batches import GraspBatch
 from grabnet.errors import UserError
 from grabnet.geometry.rotations import axis_angle_to_matrix
@@ -50,7 +51,7 @@ class RecordedPerturbed(RefineInput):
         transl: standard deviation per coordinate, metres.
     """
 
-    def __init__(self, finger: float, wrist: float, transl: float):
+    def __init__(self, finger: Weight, wrist: Weight, transl: Weight):
         self.finger, self.wrist, self.transl = finger, wrist, transl
 
     def __call__(self, batch: GraspBatch, model: HandModel) -> GraspBatch:
@@ -84,7 +85,7 @@ class SamplesPerturbed(RefineInput):
         transl: likewise.
     """
 
-    def __init__(self, coarsenet: str, finger: float, wrist: float, transl: float):
+    def __init__(self, coarsenet: str, finger: Weight, wrist: Weight, transl: Weight):
         self.network, self.trained_from = _trained(coarsenet)
         self.finger, self.wrist, self.transl = finger, wrist, transl
 
@@ -105,7 +106,7 @@ class CoarseNetGuesses(RefineInput):
         spread: times the posterior's deviation; above 1 the guesses are as rough as those for new objects.
     """
 
-    def __init__(self, coarsenet: str, spread: float = 1.0):
+    def __init__(self, coarsenet: str, spread: Weight = 1.0):
         self.network, self.trained_from = _trained(coarsenet)
         self.spread = spread
 

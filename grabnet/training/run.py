@@ -9,7 +9,7 @@ import logging
 import sys
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +20,12 @@ from hydra.utils import instantiate
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from omegaconf import DictConfig, OmegaConf
 
-from grabnet.cli.entry import fail
+from grabnet.cli.ends import Stopped, in_sentences
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.errors import UserError
-from grabnet.io.files import DISK_ERRORS, replacing, sha256, write_json
+from grabnet.io.files import naming, replacing, sha256, write_json
 from grabnet.io.litter import clear_litter
+from grabnet.io.locks import alone_in
 from grabnet.io.provenance import provenance
 from grabnet.io.recipes import refuse_other
 from grabnet.io.state import Kind, read_config, read_json
@@ -36,7 +37,7 @@ from grabnet.training.history import History, best_epoch
 from grabnet.training.modules import GraspTraining
 from grabnet.training.processes import OwnProcesses, started_from_outside, together
 from grabnet.training.rehearsal import rehearse
-from grabnet.training.stopping import ObjectiveMeasured, StopStaysStopped
+from grabnet.training.stopping import EndsAtOnce, ObjectiveMeasured, StopStaysStopped, ended_by
 
 log = logging.getLogger(__name__)
 
@@ -50,7 +51,7 @@ _FIXED = ("hand_model", "data", "model", "seed", "objective")
 def train(cfg: DictConfig) -> dict[str, float]:
     """Train, test and save.
 
-    The run folder `cfg.run_dir` gets config.yaml, provenance.json, logs/, history.json, checkpoints/,
+    The run folder `cfg.run_dir` gets config.yaml, provenance.json (with `ended_by`), logs/, history.json, checkpoints/,
     model.safetensors and, last, metrics.json (of the best epoch by `cfg.objective`, and test errors of its weights):
     where that exists, the run is complete. Where the trainer has several devices each gets a process of its own, of
     which only the first one writes.
@@ -59,12 +60,13 @@ def train(cfg: DictConfig) -> dict[str, float]:
         the metrics.
 
     Raises:
-        UserError: the training diverged or had no time, the disk takes no more, a begun run is to go on with other
-            settings or has no checkpoint or record that can be read, or the trainer cannot be had or run as configured.
+        UserError: the training diverged or had no time, another one writes to the run folder, a begun run is to go on
+            with other settings or has no checkpoint or record that can be read, or the trainer cannot be had or run as
+            configured.
     """
     run_dir = Path(cfg.run_dir)
     try:
-        with _disk_errors_told(run_dir), denormals_flushed():
+        with _whole_checkpoint_said(run_dir), denormals_flushed():
             return _train(cfg, run_dir)
     except MisconfigurationException as error:  # such as a callback without the logger that it needs
         raise UserError(f"The trainer cannot run as configured: {' '.join(str(error).split())}") from None
@@ -78,19 +80,27 @@ def _train(cfg: DictConfig, run_dir: Path) -> dict[str, float]:
     data: GraspDataModule = instantiate(cfg.data, hand=instantiate(cfg.hand_model))
     history, resumed = History(), None
     trainer = _trainer(cfg, history)
-    if trainer.is_global_zero:
-        clear_litter(run_dir, "*.*", "checkpoints/*.*", "*/*.safetensors")
-        if cfg.resume and (resumed := newest_whole(run_dir / "checkpoints")):
-            _refuse_other_settings(run_dir / "config.yaml", cfg)
-            drop_damaged(resumed)
-        with replacing(run_dir / "config.yaml") as temporary:
-            OmegaConf.save(cfg, temporary, resolve=True)
-        data.prepare_data()
-        data.setup()
-    log.disabled = not trainer.is_global_zero
-    with together(trainer, __spec__.name, run_dir / "config.yaml"):
+    with ExitStack() as stack:
+        if trainer.is_global_zero:
+            stack.enter_context(alone_in(run_dir, "run_dir"))
+            resumed = _begin(cfg, run_dir, data)
+        log.disabled = not trainer.is_global_zero
+        stack.enter_context(together(trainer, __spec__.name, run_dir / "config.yaml"))
         data.setup()
         return _fit(cfg, run_dir, data, trainer, history, trainer.strategy.broadcast(resumed))
+
+
+def _begin(cfg: DictConfig, run_dir: Path, data: GraspDataModule) -> Path | None:
+    """Write what the other processes read; return the checkpoint that the run goes on from, if any."""
+    clear_litter(run_dir, "*.*", "checkpoints/*.*", "*/*.safetensors")
+    if resumed := newest_whole(run_dir / "checkpoints") if cfg.resume else None:
+        _refuse_other_settings(run_dir / "config.yaml", cfg)
+        drop_damaged(resumed)
+    with replacing(run_dir / "config.yaml") as temporary:
+        OmegaConf.save(cfg, temporary, resolve=True)
+    data.prepare_data()
+    data.setup()
+    return resumed
 
 
 def _fit(
@@ -116,10 +126,21 @@ def _fit(
         write_json(run_dir / PROVENANCE, record)
     if resumed:
         log.info("Going on from %s.", resumed)
+    config: Any = OmegaConf.to_container(cfg, resolve=True)
+    for logger in trainer.loggers:
+        logger.log_hyperparams(config)
     trainer.fit(module, datamodule=data, ckpt_path=resumed)
+    ended = ended_by(trainer)
     metrics = best_epoch(history.epochs, cfg.objective)
     if not any(cfg.objective in epoch for epoch in history.epochs):
         raise UserError(f"{run_dir} ended before its first epoch did: raise trainer.max_epochs or trainer.max_time.")
+    if ended == "max_time":
+        log.warning(
+            "trainer.max_time=%s ended the training in epoch %d of %s.",
+            cfg.trainer.max_time,
+            trainer.current_epoch,  # which counts the one that was cut
+            trainer.max_epochs,
+        )
     if metrics is None:
         raise UserError(f"{run_dir} diverged: {cfg.objective} was never finite; lower model.optimizer.lr.")
     if (best := run_dir / "checkpoints" / BEST).exists():
@@ -128,7 +149,8 @@ def _fit(
         trainer.test(module, datamodule=data, verbose=False)
         metrics = metrics | {name: float(value) for name, value in trainer.callback_metrics.items()}
     if trainer.is_global_zero:
-        config: Any = OmegaConf.to_container(cfg, resolve=True)
+        record |= {"ended_by": ended}
+        write_json(run_dir / PROVENANCE, record)
         for folder, network in module.networks.items():
             save_network(run_dir / folder / FILE_NAME, network, record | {"config": config, "metrics": metrics})
         write_json(run_dir / METRICS, metrics)
@@ -153,36 +175,39 @@ def _earlier(path: Path) -> dict[str, Any]:
 
 
 def _trainer(cfg: DictConfig, history: History) -> L.Trainer:
-    options = {
-        "default_root_dir": cfg.run_dir,
-        "callbacks": [StopStaysStopped(), ObjectiveMeasured(cfg.objective), history, *_instances(cfg.callbacks)],
-        "logger": _instances(cfg.logger),
-        "plugins": [AtomicCheckpointIO()] + ([] if started_from_outside() else [OwnProcesses()]),
-    }
+    callbacks = [_made(config, f"callbacks.{name}") for name, config in cfg.callbacks.items() if config is not None]
+    loggers = [_made(config, f"logger.{name}") for name, config in cfg.logger.items() if config is not None]
+    return _made(
+        cfg.trainer,
+        "trainer",
+        default_root_dir=cfg.run_dir,
+        callbacks=[EndsAtOnce(), StopStaysStopped(), ObjectiveMeasured(cfg.objective), history, *callbacks],
+        logger=loggers,
+        plugins=[AtomicCheckpointIO()] + ([] if started_from_outside() else [OwnProcesses()]),
+    )
+
+
+def _made(config: DictConfig, name: str, **options: Any) -> Any:
+    """What a config makes, or a `UserError` with the words in which a library refuses it, as for want of a GPU."""
     try:
-        return instantiate(cfg.trainer, **options)
-    except InstantiationException as error:  # such as for want of a GPU
-        raise UserError(f"The trainer cannot be had as configured: {' '.join(str(error.__cause__).split())}") from None
-
-
-def _instances(group: DictConfig) -> list[Any]:
-    return [instantiate(config) for config in group.values() if config is not None]
+        return instantiate(config, **options)
+    except InstantiationException as error:
+        if isinstance(error.__cause__, UserError):
+            raise error.__cause__ from None
+        raise UserError(f"The {name} cannot be had as configured: {' '.join(str(error.__cause__).split())}") from None
 
 
 @contextmanager
-def _disk_errors_told(run_dir: Path) -> Iterator[None]:
-    """Turn what a full or read-only disk raises into the one sentence that its owner needs."""
+def _whole_checkpoint_said(run_dir: Path) -> Iterator[None]:
+    """Have what stops a run, or what a full disk says, name the checkpoint from which the run can go on."""
     try:
-        yield
-    except OSError as error:
-        elsewhere = error.filename is not None and not Path(error.filename).is_relative_to(run_dir)
-        if error.errno not in DISK_ERRORS or elsewhere:
-            raise
-        good = newest_whole(run_dir / "checkpoints")
-        remains = f"{good} is whole, and the same command goes on from it" if good else "no checkpoint was written yet"
-        raise UserError(
-            f"{run_dir} cannot be written to ({error.strerror}): make room, or choose another run_dir; {remains}."
-        ) from None
+        with naming(run_dir):
+            yield
+    except (OSError, Stopped) as stop:
+        with suppress(UserError):
+            good = newest_whole(run_dir / "checkpoints")
+            stop.add_note(f"The same command goes on from {good}." if good else "No checkpoint was written yet.")
+        raise
 
 
 def _quiet() -> None:
@@ -196,9 +221,10 @@ def _quiet() -> None:
 
 
 if __name__ == "__main__":
-    try:
-        train(OmegaConf.load(sys.argv[1]))
-    except UserError as error:
-        fail(error)
-    except RunPruned:  # the first process reports it
-        pass
+    with in_sentences():
+        try:
+            train(OmegaConf.load(sys.argv[1]))
+        except RunPruned:  # the first process reports it
+            pass
+        except Stopped as stop:  # likewise
+            sys.exit(128 + stop.signum)

@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
-from grabnet.cli.checks import at_least, one_of
+from grabnet.cli.checks import Name, Positive, Range, Seed, Weight, in_range, mismatch, one_of
 from grabnet.errors import UserError
 from grabnet.training.acceleration import PRECISIONS
+
+# Of values that libraries take: some they check only once the data are there, some never.
+_LIBRARIES = {
+    "model.optimizer.lr": Positive,
+    "model.optimizer.weight_decay": Weight,
+    "trainer.max_epochs": Annotated[int, Range(-1)],  # -1: no limit
+    "trainer.check_val_every_n_epoch": Annotated[int, Range(1)],
+    "trainer.log_every_n_steps": Annotated[int, Range(0)],
+    "trainer.num_sanity_val_steps": Annotated[int, Range(-1)],
+    "trainer.num_nodes": Annotated[int, Range(1)],
+    "callbacks.early_stopping.patience": Annotated[int, Range(0)],
+    "callbacks.checkpoint.every_n_epochs": Annotated[int, Range(1)],
+    "callbacks.last.every_n_epochs": Annotated[int, Range(1)],
+}
 
 
 @dataclass(frozen=True)
@@ -19,11 +33,12 @@ class TrainingConfig:
         UserError: a value out of range.
     """
 
-    seed: int
-    run_dir: str
-    sweep_dir: str
+    seed: Seed
+    run_dir: Name
+    sweep_dir: Name
+    trial: bool
     tags: list[str]
-    objective: str
+    objective: Name
     resume: bool
     matmul_precision: str
     compile: bool
@@ -33,11 +48,19 @@ class TrainingConfig:
     data: dict[str, Any]
     model: dict[str, Any]
     trainer: dict[str, Any]
-    callbacks: dict[str, Any]
-    logger: dict[str, Any]
+    callbacks: dict[str, dict[str, Any] | None]
+    logger: dict[str, dict[str, Any] | None]
 
     def __post_init__(self):
-        at_least(self, seed=0)
-        if self.seed >= 2**32:  # the bound of numpy's and Lightning's seeds
-            raise UserError(f"seed is {self.seed}; it must be below {2**32}.")
+        in_range(self)
+        for key, hint in _LIBRARIES.items():
+            if found := mismatch(_value(self, key.split(".")), hint):
+                raise UserError(f"{key} is {found[0]!r}; it {found[1]}.")
         one_of(self, matmul_precision=PRECISIONS)
+
+
+def _value(node: Any, path: list[str]) -> Any:
+    """What lies at a path of attributes and keys; None where there is nothing."""
+    for key in path:
+        node = node.get(key) if isinstance(node, dict) else getattr(node, key, None)
+    return node

@@ -1,40 +1,79 @@
-"""Values out of range are refused in one wording."""
+"""Values out of range are refused in one wording, whoever gives them."""
 
 import math
+from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import Annotated
 
 import pytest
 
-from grabnet.cli.checks import at_least, one_of, positive
+from grabnet.cli.checks import Betas, Count, Distance, Filled, Name, Positive, Seed, Share, in_range, one_of
 from grabnet.errors import UserError
 
-CONFIG = SimpleNamespace(n=0, seed=0, threads=None, share=math.nan, hand="x", up=None)
+
+@dataclass
+class Values:
+    n: Count = 1
+    seed: Seed = 0
+    threads: Count | None = None
+    share: Share = 0.5
+    size: Positive = 1e-9
+    distance: Distance = 0.1
+    betas: Betas | None = None
+    name: Name = "x"
+    files: Name | Annotated[list[Name], Filled()] = "x"
 
 
-def test_values_in_range_and_omitted_ones_pass():
-    at_least(CONFIG, n=0, seed=0, threads=1)
-    one_of(CONFIG, hand=("x", "y"), up=(None, "z"))
+@pytest.mark.parametrize("good", [{}, {"seed": 2**32 - 1}, {"share": 0}, {"betas": [-10, 10.0]}, {"files": ["a", "b"]}])
+def test_values_in_range_and_omitted_ones_pass(good):
+    in_range(Values(**good))
 
 
 @pytest.mark.parametrize(
-    ("check", "sentence"),
+    ("name", "value", "sentence"),
     [
-        (lambda: at_least(CONFIG, seed=0, n=1), "n is 0; it must be at least 1."),
-        (lambda: at_least(CONFIG, "data.", n=1), "data.n is 0; it must be at least 1."),
-        (lambda: at_least(CONFIG, share=0), "share is nan; it must be at least 0."),
-        (lambda: one_of(CONFIG, hand=("right", "left")), "hand is 'x'; it can be right, left."),
-        (lambda: one_of(CONFIG, "a.", up=("x", "y")), "a.up is None; it can be x, y."),
-        (lambda: one_of(CONFIG, hand=("z", None)), "hand is 'x'; it can be z, null."),
+        ("n", 0, "n is 0; it must be at least 1."),
+        ("n", 10**9, "n is 1000000000; it must be at most 1000000."),
+        ("n", 10**400, f"n is {10**400}; it must be at most 1000000."),
+        ("seed", -1, "seed is -1; it must be at least 0."),
+        ("seed", 2**32, "seed is 4294967296; it must be at most 4294967295."),
+        ("threads", 0, "threads is 0; it must be at least 1."),
+        ("share", 2, "share is 2; it must be at most 1."),
+        ("share", math.nan, "share is nan; it must be a finite number."),
+        ("size", math.inf, "size is inf; it must be a finite number."),
+        ("size", 0, "size is 0; it must be above 0."),
+        ("size", -1.0, "size is -1.0; it must be above 0."),
+        ("distance", 4.5, "distance is 4.5; it must be at most 0.1."),
+        ("betas", [0.0, math.nan], "betas is nan; it must be a finite number."),
+        ("betas", [1e38], "betas is 1e+38; it must be at most 10."),
+        ("betas", [], "betas is []; it must not be empty."),
+        ("name", "", "name is ''; it must not be empty."),
+        ("files", [], "files is []; it must not be empty."),
+        ("files", ["a", ""], "files is ''; it must not be empty."),
     ],
 )
-def test_others_are_refused_in_one_wording(check, sentence):
+def test_others_are_refused_in_one_wording(name, value, sentence):
     with pytest.raises(UserError) as error:
-        check()
+        in_range(Values(**{name: value}))
     assert str(error.value) == sentence
 
 
-@pytest.mark.parametrize("value", [0, -1.0, float("nan")])
-def test_what_is_not_above_zero_is_refused(value):
-    with pytest.raises(UserError, match=r"size is .*; it must be above 0\."):
-        positive(SimpleNamespace(size=value), "size")
-    positive(SimpleNamespace(size=1e-9), "size")
+def test_the_place_and_the_function_are_named():
+    def function(share: Share) -> None: ...
+
+    with pytest.raises(UserError, match=r"^data\.share is 3; it must be at most 1\.$"):
+        in_range(SimpleNamespace(share=3), "data.", of=function)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"hand": ("right", "left")}, "hand is 'x'; it can be right, left."),
+        ({"hand": ("z", None)}, "hand is 'x'; it can be z, null."),
+    ],
+)
+def test_words_that_are_no_option_are_refused(options, sentence):
+    one_of(SimpleNamespace(hand="x", up=None), hand=("x", "y"), up=(None, "z"))
+    with pytest.raises(UserError) as error:
+        one_of(SimpleNamespace(hand="x"), **options)
+    assert str(error.value) == sentence

@@ -50,7 +50,24 @@ ROOT = Path(__file__).parents[2]
         ("data=_base", "data=_base names no file of the group data; it can be frames, grabnet_release, open."),
         ("~logger", "~logger removes what the command needs: remove single values, as in ~logger.<value>."),
         ("seed=-1", "seed is -1; it must be at least 0."),
-        ("seed=4294967296", "seed is 4294967296; it must be below 4294967296."),
+        ("seed=4294967296", "seed is 4294967296; it must be at most 4294967295."),
+        ("model.bps.n_points=0", "model.bps.n_points is 0; it must be at least 1."),
+        ("model.bps.radius=-1", "model.bps.radius is -1; it must be above 0."),
+        ("model.width=0", "model.width is 0; it must be at least 1."),
+        ("model.loss.kl=2", "model.loss.kl is 2; it must be at most 1."),
+        ("model.loss.weight_exponent=-1", "model.loss.weight_exponent is -1; it must be at least 0."),
+        ("model.loss.point_weights.near=[1]", "near=[1] is of the wrong type: it must be a list of 2 values."),
+        ("model.optimizer.lr=-1", "model.optimizer.lr is -1; it must be above 0."),
+        ("model.optimizer.lr=nan", "model.optimizer.lr is nan; it must be a finite number."),
+        ("trainer.max_epochs=-5", "trainer.max_epochs is -5; it must be at least -1."),
+        (
+            "callbacks.grasps=x",
+            "callbacks.grasps='x' is of the wrong type: it must be a config with a _target_",
+        ),
+        ("~model.optimizer", "~model.optimizer removes what grabnet.training.modules.CoarseNetTraining needs"),
+        ("~seed", "~seed removes what grabnet.training.settings.TrainingConfig needs: give it another value instead."),
+        ("run_dir=", "run_dir is ''; it must not be empty."),
+        ("data.batch_size=99999999999", "data.batch_size is 99999999999; it must be at most 1000000."),
         ("objective=val(loss", "The argument objective=val(loss cannot be read: quote a value with special characters"),
         ("model.optimizer._target_=torch.optim.Nope", "model.optimizer._target_=torch.optim.Nope does not exist."),
         ("model.optimizer._target_=antigravitee.Adam", "model.optimizer._target_=antigravitee.Adam does not exist."),
@@ -107,10 +124,8 @@ def test_groups_within_the_model_are_chosen_by_their_plain_names():
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["model.bps.n_points=0"], "n_points is 0; a basis needs at least 1 point."),
-        (["model.loss.weight_exponent=-1"], "weight_exponent is -1; it must be at least 0."),
-        (["model=refinenet", "model.iterations=0"], "iterations is 0; RefineNet needs at least 1 to correct anything."),
-        (["model=refinenet", "model.dropout=2"], "model: dropout probability has to be between 0 and 1, but got 2"),
+        (["model.loss.point_weights.near=[1,0]"], "near is [1, 0]; its first distance must be below its second."),
+        (["model.loss.contact_weights=x"], "contact_weights is 'x'; it can be learned or uniform."),
     ],
 )
 def test_what_a_constructor_refuses_is_told(arguments, sentence, hand):

@@ -7,6 +7,8 @@ import pytest
 import torch
 from safetensors.torch import load, save
 
+from grabnet.cli.entry import compose
+from grabnet.commands.ship_weights import ship
 from grabnet.errors import UserError
 from grabnet.generation.grabber import Grabber
 from grabnet.io.files import sha256
@@ -51,6 +53,19 @@ def test_training_starts_from_none_that_went_on_from_its_kind(runs, grabber):
     assert find_network("RefineNet", None, runs) == guessed_from
     assert find_network("CoarseNet", went_on, runs) == went_on
     assert find_model("newest", runs) == {"CoarseNet": went_on, "RefineNet": guessed_from}
+
+
+def test_trials_take_no_place(runs, grabber):
+    """debug=default writes below runs/, too."""
+    tried = runs / "tried" / FILE_NAME
+    save_network(tried, grabber.generator.coarsenet, {"config": {"trial": True}})
+    newest = runs / "coarse" / "new" / FILE_NAME
+    assert find_network("CoarseNet", None, runs) == find_model("newest", runs)["CoarseNet"] == newest
+    assert find_network("CoarseNet", tried, runs) == tried
+    with pytest.raises(UserError, match=r"tried/model\.safetensors was only tried out"):
+        ship(tried, runs / "shipped")
+    assert all(compose("train", [f"debug={name}"]).trial for name in ("default", "overfit"))
+    assert not compose("train", []).trial
 
 
 def test_a_missing_network_is_told_with_what_exists(runs, tmp_path):

@@ -25,10 +25,10 @@ from grabnet.data.frames import FramesStore, shard_names, write_shard
 from grabnet.data.sequences import read_sequence, write_sequence
 from grabnet.data.splits import Split
 from grabnet.errors import UserError
+from grabnet.io.locks import LOCK
 from grabnet.io.npz import read_npz
 from grabnet.preprocess.filtering import Waterfall
 from grabnet.preprocess.pictures import draw_waterfall
-from grabnet.preprocess.resuming import LOCK
 from grabnet.preprocess.run import run
 from grabnet.training.run import train
 from tests.data.test_frames import shard_values

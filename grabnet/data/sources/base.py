@@ -32,7 +32,7 @@ from grabnet.data.objects import OBJECT_MESHES
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
 from grabnet.geometry.rotations import matrix_to_axis_angle
-from grabnet.io.files import DISK_ERRORS, replacing
+from grabnet.io.files import replacing
 from grabnet.io.provenance import versions
 
 # Largest error of R Rᵀ = 1 that rounding explains.
@@ -107,27 +107,18 @@ def write_store(root: Path, source: FrameSource) -> None:
         source: what to write.
 
     Raises:
-        UserError: the store there was started with another recipe, the disk takes no more, or frames that name an
-            unknown subject or object, are not finite, or have no rotations.
+        UserError: the store there was started with another recipe, or frames that name an unknown subject or object, are not finite, or have no rotations.
     """
     store = root / "frames"
     recipe = {"store": FORMAT, "hand_sha256": source.hand.fingerprint} | source.recipe()
     remedy = f"delete {store}, or choose another data.root"
     if (store / "store.json").exists():  # complete: nothing is written, which may be forbidden
         return start_store(store, recipe, remedy)
-    try:
-        store.mkdir(parents=True, exist_ok=True)
-        with FileLock(store / ".lock"):
-            start_store(store, recipe, remedy)
-            if not (store / "store.json").exists():
-                _write(root, store, source, recipe)
-    except OSError as error:
-        elsewhere = error.filename is not None and not Path(error.filename).is_relative_to(root)
-        if error.errno not in DISK_ERRORS or elsewhere:
-            raise
-        raise UserError(
-            f"{root} cannot be written to ({error.strerror}): make room there, or choose another data.root."
-        ) from None
+    store.mkdir(parents=True, exist_ok=True)
+    with FileLock(store / ".lock"):
+        start_store(store, recipe, remedy)
+        if not (store / "store.json").exists():
+            _write(root, store, source, recipe)
 
 
 def _write(root: Path, store: Path, source: FrameSource, recipe: dict[str, Any]) -> None:

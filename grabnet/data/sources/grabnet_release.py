@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from grabnet.body.hand import HandModel, HandParameters
-from grabnet.cli.checks import at_least
+from grabnet.cli.checks import Seed, Weight, in_range
 from grabnet.data.objects import object_files
 from grabnet.data.sources.base import FrameSource, HandFrames
 from grabnet.data.sources.release_comparison import Comparison, ComparisonRecord, PosedFrames, compare, sample_rows
@@ -75,16 +75,16 @@ class GrabnetRelease(FrameSource):
         hand: HandModel,
         noisy: bool = True,
         check: int | str = 512,
-        tolerance: float = 0.001,
-        bps_tolerance: float = 0.004,
-        seed: int = 0,
+        tolerance: Weight = 0.001,
+        bps_tolerance: Weight = 0.004,
+        seed: Seed = 0,
     ):
         if check != "all" and (type(check) is not int or check < 0):
             raise UserError(f"data.source.check is {check}; it must be a number of frames, 0 or more, or all.")
         self.release, self.root, self.objects_dir = Path(release), Path(root), objects_dir
         self.hand, self.noisy, self.check, self.seed = hand, noisy, check, seed
         self.tolerance, self.bps_tolerance = tolerance, bps_tolerance
-        at_least(self, "data.source.", tolerance=0, bps_tolerance=0, seed=0)
+        in_range(self, "data.source.")
         self._query = cache(lambda name: MeshQuery(load_mesh(self._meshes[name])))
         self._read_last: tuple[str, PosedFrames] | None = None  # one split takes up to 0.4 GB
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grabnet.body.hand import HandModel
+from grabnet.cli.checks import Count, Positive, in_range
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh
 from grabnet.physics.decomposition import DecompositionConfig, convex_pieces
@@ -39,18 +40,15 @@ class DropTest:
         UserError: a value out of range.
     """
 
-    friction: float
-    mass: float
-    gravity: float
-    steps_per_second: int
-    steps: int
-    limit: float | None
+    friction: Positive
+    mass: Positive
+    gravity: Positive
+    steps_per_second: Count
+    steps: Count
+    limit: Positive | None
 
     def __post_init__(self):
-        for name in ("friction", "mass", "gravity", "steps_per_second", "steps", "limit"):
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0):
-                raise UserError(f"The simulation's {name}={value} must be a positive number.")
+        in_range(self, "physics.")
 
     @property
     def dynamics(self) -> Dynamics:

@@ -32,16 +32,12 @@ def write_objects(root: str | Path, processes: int = 2) -> list[Path]:
         the path of each mesh, in the order of `OBJECTS`.
 
     Raises:
-        UserError: `processes` is less than 1, or `root` is not a folder that can be written.
+        UserError: `processes` is less than 1.
     """
     root = Path(root)
     if processes < 1:
         raise UserError(f"processes is {processes}; objects are meshed by at least 1.")
-    try:
-        (root / OBJECT_MESHES).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"Cannot make {root / OBJECT_MESHES} ({error.strerror}); choose another root.") from error
-
+    (root / OBJECT_MESHES).mkdir(parents=True, exist_ok=True)
     facts = provenance(format=FORMAT)
     written = _up_to_date(root)
     missing = [name for name in OBJECTS if name not in written]
