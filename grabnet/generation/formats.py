@@ -42,6 +42,9 @@ def write_npz(folder: Path, mesh: Mesh, hands: np.ndarray, faces: np.ndarray) ->
     )
 
 
+# Of all files that these write, as patterns.
+MESH_NAMES = ("grasp_[0-9][0-9][0-9]*.glb", "object.ply", "hand_[0-9][0-9][0-9]*.ply", "meshes.npz")
+
 # Each writes the object, hands (N, V, 3) and their faces (F, 3) into a folder.
 FORMATS: dict[str, Callable[[Path, Mesh, np.ndarray, np.ndarray], None]] = {
     "glb": write_glb,

@@ -71,7 +71,7 @@ class ContactMaps(PerGrasp):
         """Write `contact/<method>/<object>…`, as `write_maps` does."""
         places: dict[str, Path] = {}  # of names that differ in other characters only, each its own
         for method in methods:
-            plain = re.sub("[^a-z0-9]+", "_", method.name.lower()).strip("_")
+            plain = re.sub("[^a-z0-9]+", "_", method.name.lower()).strip("_") or "method"
             names = itertools.chain([plain], (f"{plain}_{k}" for k in itertools.count(2)))
             unique = next(name for name in names if name not in places)
             place = places[unique] = folder / "contact" / unique
