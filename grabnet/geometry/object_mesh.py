@@ -73,10 +73,10 @@ def _similarity(values: object) -> np.ndarray:
     if matrix.dtype.kind in "fiu" and matrix.shape == (4, 4) and np.isfinite(matrix).all():
         matrix = matrix.astype(np.float64)
         linear = matrix[:3, :3] / (np.abs(matrix[:3, :3]).max() or 1.0)  # of any scale without overflow
-        det = np.linalg.det(linear)
-        if (matrix[3] == [0, 0, 0, 1]).all() and det > 0:
-            if np.abs(linear @ linear.T / det ** (2 / 3) - np.eye(3)).max() < 1e-4:
-                return matrix
+        det = max(np.linalg.det(linear), 1e-9)  # nothing of a smaller one scales all axes alike
+        alike = np.abs(linear @ linear.T / det ** (2 / 3) - np.eye(3)).max() < 1e-4
+        if alike and (matrix[3] == [0, 0, 0, 1]).all():
+            return matrix
     raise UserError(
         "to_object is no rotation times a scale, with a shift: it must be (4, 4), finite, turn without mirroring, and "
         "scale all axes alike."
