@@ -49,6 +49,7 @@ class BenchmarkConfig:
     device: str
     seed: int
     train: list[str]
+    quiet: bool = False  # for the command
 
     def __post_init__(self):
         if self.suite not in SUITES:

@@ -36,6 +36,7 @@ from omegaconf.errors import OmegaConfBaseException
 from grabnet.cli.checking import check, refusal
 from grabnet.cli.help import command_help
 from grabnet.cli.mistakes import refuse_choices, sentence
+from grabnet.cli.progress import shown
 from grabnet.cli.quoting import quoted
 from grabnet.errors import UserError
 from grabnet.io.shipped import shipped
@@ -79,7 +80,8 @@ def hydra_entry(
             @functools.wraps(main)
             def job(cfg: DictConfig) -> object:
                 try:
-                    result = main(cfg)
+                    with shown(quiet=bool(cfg.get("quiet"))):
+                        result = main(cfg)
                 except (UserError, InstantiationException) as error:
                     mistake = error if isinstance(error, UserError) else refusal(error)
                     if mistake is None:

@@ -9,8 +9,7 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
-from rich.progress import track
-
+from grabnet.cli.progress import track
 from grabnet.errors import UserError
 from grabnet.io.files import existing, replacing
 

@@ -48,6 +48,7 @@ class EvaluationConfig:
     data: dict[str, Any]
     source: dict[str, Any]
     physics: dict[str, Any]
+    quiet: bool = False  # for the command
 
     def __post_init__(self):
         at_least(self, n=1, halo_samples=1, vertex_samples=1, contact_samples=1, processes=1)

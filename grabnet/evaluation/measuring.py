@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from joblib import Parallel, delayed
-from rich.progress import Progress
 
+from grabnet.cli.progress import steps
 from grabnet.evaluation.cache import Arrays, Cache, ResultTable
 from grabnet.evaluation.hands import Hands
 from grabnet.evaluation.protocol import PerGrasp
@@ -132,11 +132,10 @@ def _computed(portions: Sequence[Task], processes: int) -> Iterable[tuple[int, l
         return
     pool = Parallel(n_jobs=min(processes, len(portions)), return_as="generator_unordered", batch_size=1)
     jobs = (delayed(_measure)(number, task, processes > 1) for number, task in enumerate(portions))
-    with Progress(transient=True) as progress:
-        bar = progress.add_task("Measuring grasps", total=sum(len(task.hands) for task in portions))
+    with steps("Measuring grasps", sum(len(task.hands) for task in portions)) as counted:
         for number, results in pool(jobs):
             yield number, results
-            progress.advance(bar, len(portions[number].hands))
+            counted.advance(len(portions[number].hands))
 
 
 _target: GraspTarget | None = None  # the last object of this process: portions come object by object

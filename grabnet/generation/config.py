@@ -47,6 +47,7 @@ class SamplingConfig:
     device: str
     cache_dir: str | None
     contact: ContactRules = field(default_factory=ContactRules)
+    quiet: bool = False  # for the command
 
     def __post_init__(self):
         at_least(self, n=1, seed=0, batch_size=1, n_turns=1, sheet=0, page=0)

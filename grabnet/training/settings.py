@@ -35,6 +35,7 @@ class TrainingConfig:
     trainer: dict[str, Any]
     callbacks: dict[str, Any]
     logger: dict[str, Any]
+    quiet: bool = False  # for the command
 
     def __post_init__(self):
         at_least(self, seed=0)

@@ -18,9 +18,9 @@ from typing import Self
 import numpy as np
 import torch
 from hydra.utils import instantiate
-from rich.progress import track
 
 from grabnet.body.hand import HandModel, HandParameters
+from grabnet.cli.progress import track
 from grabnet.data.batches import GraspBatch
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.data.splits import SPLITS
@@ -157,7 +157,7 @@ def reconstruction(data: GraspDataModule, hand: HandModel, networks: Mapping[str
     for split in SPLITS:
         errors: dict[str, list[np.ndarray]] = {name: [] for name in networks}
         objects = []
-        for numbers in track(data.loader(split), f"Reconstruction ({split})", transient=True):
+        for numbers in track(data.loader(split), f"Reconstruction ({split})"):
             objects.append(data.frames(split).object[numbers[1]].numpy())
             for name, network in networks.items():
                 batch = data.on_after_batch_transfer(numbers, 0)  # seeds, too
