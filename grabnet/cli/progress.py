@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Iterable, Iterator, Sized
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import TypeVar
 
 from rich.console import Console
@@ -95,16 +95,10 @@ def shown(quiet: bool = False) -> Iterator[None]:
     global _display
     before, _display = _display, None if quiet else _Display()
     try:
-        with _display or nothing():
+        with _display or nullcontext():
             yield
     finally:
         _display = before
-
-
-@contextmanager
-def nothing() -> Iterator[None]:
-    """Show nothing."""
-    yield
 
 
 class _Display:
