@@ -73,13 +73,13 @@ def read_grasps(folder: Path, name: str, file: Path, hand: HandModel, n: int) ->
         n: grasps, at most.
 
     Raises:
-        UserError: grasps that cannot be read, or that were made for another mesh of this name.
+        UserError: grasps that cannot be read, or that were made for another mesh of this name or with another hand.
     """
     place = existing(folder, "Folder of grasps") / name
     if not place.is_dir():
         return None
     if (place / GRASPS).exists():
-        _check_mesh(place, file)
+        _check_record(place, file, hand)
         hands, sources = _posed(place / GRASPS, hand, n), [place / GRASPS]
     else:
         hands, sources = _meshed(place, n)
@@ -134,17 +134,23 @@ def _check_hands(vertices: np.ndarray, sources: Sequence[Path], mesh: Mesh, file
     )
 
 
-def _check_mesh(place: Path, file: Path) -> None:
-    """Grasps that say which mesh they are of must be of the data set's."""
+def _check_record(place: Path, file: Path, hand: HandModel) -> None:
+    """Grasps that say which mesh and which hand they are of must be of the data set's."""
     record = place / "grasps.json"
     if not record.exists():
         return
     try:
-        made_for = json.loads(record.read_text(encoding="utf-8")).get("mesh_sha256")
+        said = json.loads(record.read_text(encoding="utf-8"))
+        made_for, posed = said.get("mesh_sha256"), said.get("hand_sha256")
     except (OSError, ValueError, AttributeError) as error:
         raise UserError(f"{record} cannot be read ({error}); remove it, or make the grasps again.") from None
     if made_for not in (None, sha256(file)):
         raise UserError(f"The grasps in {place} were made for another mesh than {file}: make them for that one.")
+    if posed not in (None, sha256(hand.v_template.numpy())):
+        raise UserError(
+            f"The grasps in {place} are poses of another hand model: give them as meshes, or evaluate with data and "
+            "hand_model of that hand."
+        )
 
 
 def _posed(path: Path, hand: HandModel, n: int) -> Hands:

@@ -6,12 +6,11 @@ from contextlib import ExitStack
 from typing import Any
 
 import lightning as L
-from lightning.pytorch.callbacks import ProgressBar
 
 from grabnet.cli.progress import steps
 
 
-class TrainingProgress(ProgressBar):
+class TrainingProgress(L.Callback):
     """Steps of all epochs, with the objective of the last one; then batches of the test. Shown by commands only.
 
     The time left is until the last epoch that the trainer allows: early stopping ends sooner.
@@ -21,7 +20,6 @@ class TrainingProgress(ProgressBar):
     """
 
     def __init__(self, objective: str):
-        super().__init__()
         self.objective = objective
         self._shown = ExitStack()
 
@@ -58,12 +56,6 @@ class TrainingProgress(ProgressBar):
 
     def teardown(self, trainer: L.Trainer, pl_module: L.LightningModule, stage: str) -> None:
         self._shown.close()
-
-    def disable(self) -> None:
-        """Nothing: of several processes, only the first one is a command's."""
-
-    def enable(self) -> None:
-        """Nothing."""
 
     def _show(self, what: str, total: float | None, done: float = 0) -> None:
         self._shown.close()

@@ -397,6 +397,15 @@ def test_grasps_for_another_mesh_are_refused(call, made):
         call("models=[]", f"grasps={made / 'parameters'}")
 
 
+def test_poses_of_another_hand_are_refused(call, made):
+    record = made / "parameters" / "ring" / "grasps.json"
+    record.write_text(json.dumps({"hand_sha256": "0" * 64}))
+    with pytest.raises(UserError, match="are poses of another hand model: give them as meshes"):
+        call("models=[]", f"grasps={made / 'parameters'}")
+    record.write_text(json.dumps({"hand_sha256": sha256(HandModel.open().v_template.numpy())}))
+    call("models=[]", f"grasps={made / 'parameters'}")
+
+
 @pytest.mark.parametrize(
     ("override", "sentence"),
     [

@@ -29,7 +29,7 @@ from grabnet.evaluation.metrics import ALL, Metric, Section
 from grabnet.evaluation.models import EvaluatedModel
 from grabnet.evaluation.protocol import PerNetwork, Score
 from grabnet.io.files import sha256
-from grabnet.models.weights import check_conventions, load_network
+from grabnet.models.weights import check_conventions, check_hand, load_network
 from grabnet.training.modules import (
     mean_shaped,
     reconstructed,
@@ -134,6 +134,8 @@ def _networks(inputs: EvaluationInputs, model: EvaluatedModel) -> dict[str, tupl
         networks["CoarseNet"] = inputs.data_for(coarse), reconstructor
     if "RefineNet" in loaded:
         source, data = instantiate(inputs.config.source), inputs.data_for(loaded["RefineNet"])
+        for path in source.trained_from.values():
+            check_hand(path, inputs.hand)
         check_conventions(source.trained_from, data.conventions)
 
         def refine(batch: GraspBatch) -> HandParameters:
