@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import logging
 import sys
 from pathlib import Path
 
@@ -35,7 +36,8 @@ def call(monkeypatch, capfd):
 
     Returns its exit code, and what it wrote to stdout and stderr.
     """
-    threads = torch.get_num_threads()
+    threads, level = torch.get_num_threads(), logging.root.level
+    monkeypatch.setattr(logging.root, "handlers", list(logging.root.handlers))  # Hydra sets others up
     monkeypatch.setattr(progress, "_FIRST", 1e-3)
     monkeypatch.setattr(progress, "_EVERY", 1e-3)
 
@@ -49,6 +51,7 @@ def call(monkeypatch, capfd):
 
     yield call
     torch.set_num_threads(threads)
+    logging.root.setLevel(level)
 
 
 def test_sample(call, runs, cache_dir, tmp_path):
