@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: setup demo test test-lowest fuzz lint clean-demo
+.PHONY: setup demo test readme test-lowest fuzz lint clean-demo
 
 setup: $(READY)
 
@@ -33,6 +33,10 @@ test: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+
+# Runs every command of README.md as printed, for a minute at most each: half an hour.
+readme: setup
+	$(BIN)/python tests/readme.py
 
 # With the oldest versions that pyproject.toml allows, in an environment of its own: kernels and geometry, sampling,
 # files written, training steps, measures of grasps, command lines.

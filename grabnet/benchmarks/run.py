@@ -12,6 +12,7 @@ from rich.table import Table
 
 from grabnet.benchmarks.timing import Case, Timing, measure
 from grabnet.cli.checks import Batch, Concurrent, Name, Seed, Several, in_range
+from grabnet.cli.progress import steps
 from grabnet.errors import UserError
 from grabnet.generation.config import usable_device
 from grabnet.io.files import write_json
@@ -49,6 +50,7 @@ class BenchmarkConfig:
     device: str
     seed: Seed
     train: list[str]
+    quiet: bool = False  # for the command
 
     def __post_init__(self):
         if self.suite not in SUITES:
@@ -67,7 +69,9 @@ def run(config: BenchmarkConfig) -> int:
     """
     torch.set_num_threads(config.threads or torch.get_num_threads())
     cases: Callable[[BenchmarkConfig], list[Case]] = import_module(f"grabnet.benchmarks.{config.suite}").cases
-    timings = measure(cases(config), config.runs)
+    with steps("Preparing", None):
+        prepared = cases(config)
+    timings = measure(prepared, config.runs)
     Console().print(_table(f"{config.suite}: {SUITES[config.suite]}", timings))
     if config.output:
         facts = provenance(settings=asdict(config), threads=torch.get_num_threads())

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import torch
 
+from grabnet.cli.progress import track
+
 
 @dataclass(frozen=True)
 class Case:
@@ -48,7 +50,7 @@ def measure(cases: Sequence[Case], runs: int) -> list[Timing]:
     The cases take turns, so that what else the machine does weighs on all of them alike.
     """
     seconds: dict[str, list[float]] = {case.name: [] for case in cases}
-    for turn in range(runs + 1):
+    for turn in track(range(runs + 1), "Timing rounds"):
         for case in cases:
             if case.runs is not None and turn > case.runs:
                 continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from grabnet.body.left_hand import unmirrored
 from grabnet.body.loading import HAND_SHAPES
 from grabnet.body.skinned import SkinnedModel, blended
 from grabnet.io.files import sha256
@@ -58,6 +60,8 @@ class HandModel(SkinnedModel):
             stand-in.
         dtype: of all buffers; inputs must match.
 
+    A left hand whose shapes are not mirrored, as in the published file, is mended with a warning (ref. 1).
+
     Attributes:
         v_template (V, 3), shapedirs (V, 3, n_betas), J_regressor (16, V), weights (V, 16), faces (F, 3) int64;
         hands_mean (45,) and hands_components (45, 45) in axis-angle, for PCA poses.
@@ -66,6 +70,20 @@ class HandModel(SkinnedModel):
     def __init__(self, path: str | Path, dtype: torch.dtype = torch.float32):
         super().__init__(path, HAND_SHAPES, "MANO", dtype)
         self.is_right = "LEFT" not in Path(path).stem.upper()
+        if not self.is_right:
+            self._mirror_shapes(path)
+
+    def _mirror_shapes(self, path: str | Path) -> None:
+        """Mend a left hand's shape directions where they are not mirrored as its template is."""
+        model = {"v_template": self.v_template.numpy(), "shapedirs": self.shapedirs.numpy()}
+        wrong = torch.as_tensor(unmirrored(path, model, HAND_SHAPES))
+        if wrong.any():
+            self.shapedirs[:, 0, wrong] *= -1
+            warnings.warn(
+                f"{path}: {int(wrong.sum())} of its {len(wrong)} shape directions have the right hand's sign in x, as "
+                "in the published MANO_LEFT; they are mirrored here.",
+                stacklevel=3,
+            )
 
     @classmethod
     def open(cls, side: str = "right", dtype: torch.dtype = torch.float32) -> HandModel:

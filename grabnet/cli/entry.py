@@ -38,6 +38,7 @@ from grabnet.cli.ends import fail, in_sentences, say, told, unexpected
 from grabnet.cli.help import command_help
 from grabnet.cli.mistakes import options, refuse_choices, sentence
 from grabnet.cli.places import refuse_unwritable
+from grabnet.cli.progress import shown
 from grabnet.cli.quoting import quoted
 from grabnet.errors import UserError
 from grabnet.io.shipped import shipped
@@ -87,7 +88,8 @@ def hydra_entry(
             @functools.wraps(main)
             def job(cfg: DictConfig) -> object:
                 try:
-                    result = main(cfg)
+                    with shown(quiet=bool(cfg.get("quiet"))):
+                        result = main(cfg)
                 except Exception as error:
                     mistake = (refusal(error) if isinstance(error, InstantiationException) else None) or told(error)
                     if mistake is not None:

@@ -10,6 +10,7 @@ from grabnet.cli.checks import mismatch
 from grabnet.cli.ends import fail, in_sentences
 from grabnet.cli.help import EXIT_CODES
 from grabnet.cli.places import refuse_unwritable
+from grabnet.cli.progress import shown
 from grabnet.errors import UserError
 
 
@@ -27,7 +28,7 @@ def number(hint: Any) -> Callable[[str], int]:
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose help says what the command does and what its exit codes mean, and whose errors are a sentence.
+    """A parser, as each of its subparsers, with --quiet, and with a sentence for each error.
 
     Args:
         folders, files: arguments that the command writes to.
@@ -36,6 +37,7 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, *arguments: Any, folders: Collection[str] = (), files: Collection[str] = (), **options: Any):
         super().__init__(*arguments, formatter_class=argparse.RawDescriptionHelpFormatter, **options)
         self.set_defaults(written=dict.fromkeys(folders, True) | dict.fromkeys(files, False))
+        self.add_argument("--quiet", action="store_true", default=argparse.SUPPRESS, help="show no progress")
 
     def error(self, message: str) -> NoReturn:
         fail(UserError(f"{message}; {self.prog} --help explains its arguments."))
@@ -57,4 +59,5 @@ def run_parsed(parser: argparse.ArgumentParser) -> int:
         for name, is_folder in arguments.written.items():
             if (path := getattr(arguments, name)) is not None:
                 refuse_unwritable(path, name, is_folder)
-        return arguments.call(arguments) or 0
+        with shown(quiet=getattr(arguments, "quiet", False)):
+            return arguments.call(arguments) or 0

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from grabnet.cli.progress import track
 from grabnet.contact.annotator import ContactAnnotator
 from grabnet.contact.bones import Bones
 from grabnet.contact.rules import ContactRules
@@ -62,7 +63,8 @@ class HandAnnotator:
 
     def __call__(self, hands: np.ndarray) -> ContactMaps:
         """Return the contact of hands (N, V, 3), metres, in the object's frame."""
-        found = [self._annotate(hand) for hand in close(hands, self._faces)[0]]
+        closed = close(hands, self._faces)[0]
+        found = [self._annotate(hand) for hand in track(closed, "Annotating contact")]
         return ContactMaps(
             np.stack([contact.object for contact in found]),
             np.stack([contact.body[: self._n] for contact in found]),

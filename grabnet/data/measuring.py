@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import torch
-from rich.progress import track
 from torch import Tensor
 
+from grabnet.cli.progress import track
 from grabnet.data.batches import BatchAssembler
 from grabnet.data.frames import Frames
 from grabnet.data.targets import Targets
@@ -24,7 +24,7 @@ def compute_targets(frames: Frames, assembler: BatchAssembler, batch_size: int =
         torch.empty(len(frames), len(hand.v_template), dtype=torch.float16),
         torch.empty(len(frames), points.shape[1], dtype=torch.float16),
     )
-    for start in track(range(0, len(frames), batch_size), "Measuring the frames", transient=True):
+    for start in track(range(0, len(frames), batch_size), "Measuring the frames"):
         part = slice(start, start + batch_size)
         batch = frames.select(torch.arange(len(frames))[part])
         vertices, distances = assembler.measured(batch)
@@ -38,6 +38,6 @@ def compute_targets(frames: Frames, assembler: BatchAssembler, batch_size: int =
 def contact_share(frames: Frames, assembler: BatchAssembler, distance: float, batch_size: int = 256) -> Tensor:
     """(V,) `Targets.contact` of frames, without their other targets."""
     touching = torch.zeros(len(assembler.hand.v_template), dtype=torch.int64)
-    for index in track(torch.arange(len(frames)).split(batch_size), "Measuring contact", transient=True):
+    for index in track(torch.arange(len(frames)).split(batch_size), "Measuring contact"):
         touching += (assembler.measured(frames.select(index))[1] < distance).sum(0)
     return touching / len(frames)

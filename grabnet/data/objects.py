@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import torch
-from rich.progress import track
 from torch import Tensor, nn
 
+from grabnet.cli.progress import track
 from grabnet.errors import UserError
 from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.conventions import Conventions
@@ -66,7 +66,7 @@ class ObjectSet(nn.Module):
         config = AtlasConfig(centre=known.centre)
         grids = [
             SDFGrid.load_or_build(mesh, cache_dir, config)
-            for mesh in track(meshes, "Signed distances of the objects", transient=True)
+            for mesh in track(meshes, "Signed distances of the objects")
         ]
         self.atlas = SDFAtlas(grids)
 

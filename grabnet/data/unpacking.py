@@ -9,8 +9,7 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
-from rich.progress import track
-
+from grabnet.cli.progress import track
 from grabnet.errors import UserError
 from grabnet.io.archives import DAMAGE, members_of, opened_archive
 from grabnet.io.files import DISK_ERRORS, existing, replacing

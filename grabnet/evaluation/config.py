@@ -48,6 +48,7 @@ class EvaluationConfig:
     data: dict[str, Any]
     source: dict[str, Any]
     physics: dict[str, Any]
+    quiet: bool = False  # for the command
 
     def __post_init__(self):
         in_range(self)

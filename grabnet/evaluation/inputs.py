@@ -9,6 +9,7 @@ import numpy as np
 from hydra.utils import instantiate
 
 from grabnet.body.hand import HandModel
+from grabnet.cli.progress import track
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.data.objects import object_files
 from grabnet.errors import UserError
@@ -61,7 +62,7 @@ class EvaluationInputs:
         self.meshes: dict[str, Mesh] = {name: load_mesh(self.files[name]) for name in self.objects}
         self.truth: dict[str, Hands] = {
             name: recorded_hands(self.part, self.hand, name, mesh, config.max_ground_truth)
-            for name, mesh in self.meshes.items()
+            for name, mesh in track(self.meshes.items(), "Posing recorded hands")
         }
         self.models: list[EvaluatedModel] = load_models(
             config.models, self.hand, config.runs, usable_device(config.device)

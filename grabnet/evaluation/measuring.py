@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from joblib import Parallel, delayed
-from rich.progress import Progress
 
+from grabnet.cli.progress import steps
 from grabnet.errors import UserError
 from grabnet.evaluation.cache import Arrays, Cache, ResultTable
 from grabnet.evaluation.hands import Hands
@@ -135,12 +135,11 @@ def _computed(portions: Sequence[Task], processes: int) -> Iterable[tuple[int, l
         return
     pool = Parallel(n_jobs=min(processes, len(portions)), return_as="generator_unordered", batch_size=1)
     jobs = (delayed(_measure)(number, task, processes > 1) for number, task in enumerate(portions))
-    with Progress(transient=True) as progress:
-        bar = progress.add_task("Measuring grasps", total=sum(len(task.hands) for task in portions))
+    with steps("Measuring grasps", sum(len(task.hands) for task in portions)) as counted:
         try:
             for number, results in pool(jobs):
                 yield number, results
-                progress.advance(bar, len(portions[number].hands))
+                counted.advance(len(portions[number].hands))
         except BrokenProcessPool:
             raise UserError(
                 "A process that measured grasps was killed, perhaps for want of memory. What was measured is kept: run "

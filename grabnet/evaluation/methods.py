@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from grabnet.cli.progress import track
 from grabnet.errors import UserError
 from grabnet.evaluation.baseline import lookalike, transplanted
 from grabnet.evaluation.bootstrap import Estimate
@@ -72,7 +73,7 @@ def _baseline(inputs: EvaluationInputs) -> Method:
     if not names:
         raise UserError(f"{inputs.data.store_dir} has no training object with a mesh in {inputs.data.objects_dir}.")
     files = [inputs.files[name] for name in names]
-    for name, mesh in inputs.meshes.items():
+    for name, mesh in track(inputs.meshes.items(), "Looking for similar objects"):
         similar = lookalike(mesh, files, inputs.cache)
         origin = load_mesh(files[similar.number])
         hands = recorded_hands(inputs.training_part, inputs.hand, names[similar.number], origin)
@@ -92,7 +93,7 @@ def _models(inputs: EvaluationInputs) -> list[Method]:
             sources = [variant, *model.hashes.values()]
             hands = {
                 object_name: drawn(grabber, sources, mesh, config.n, config.seed, inputs.data.cache_dir, inputs.cache)
-                for object_name, mesh in inputs.meshes.items()
+                for object_name, mesh in track(inputs.meshes.items(), f"Drawing grasps from {name}")
             }
             is_whole = variant == list(variants)[-1]
             methods.append(Method(name, f"drawn from {model.name}", 1 if is_whole else 2, hands))
@@ -105,7 +106,7 @@ def _folders(inputs: EvaluationInputs, taken: set[str]) -> list[Method]:
         name = folder.name if folder.name not in taken else str(folder)
         read = {
             object_name: read_grasps(folder, object_name, inputs.files[object_name], inputs.hand, inputs.config.n)
-            for object_name in inputs.objects
+            for object_name in track(inputs.objects, f"Reading {folder}")
         }
         method = Method(name, f"grasps in {folder}", None, {k: hands for k, hands in read.items() if hands is not None})
         missing = ", ".join(object_name for object_name in read if object_name not in method.hands)

@@ -48,6 +48,7 @@ class SamplingConfig:
     device: str
     cache_dir: str | None
     contact: ContactRules = field(default_factory=ContactRules)
+    quiet: bool = False  # for the command
 
     def __post_init__(self):
         in_range(self)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 from grabnet.contact.hands import ContactMaps
 from grabnet.generation.contact_maps import write_contact_maps
 from grabnet.generation.gallery import grasp_sheet
-from grabnet.generation.grasps import RESULTS, Grasps
+from grabnet.generation.grasps import RESULTS, Grasps, has_results, record_of
 from grabnet.generation.viewer import write_viewer
 from grabnet.io.files import filling
 from grabnet.visual.pictures import save_image
@@ -26,7 +25,8 @@ def result_folders(meshes: Sequence[Path], output: Path) -> dict[Path, Path]:
     folders: dict[Path, Path] = {}
     taken: set[str] = set()
     for mesh in meshes:
-        names = itertools.chain([mesh.stem], (f"{mesh.stem}-{k}" for k in itertools.count(2)))
+        plain = _plain(mesh)
+        names = itertools.chain([plain], (f"{plain}-{k}" for k in itertools.count(2)))
         # Some file systems take Cup and cup for the same.
         name = next(n for n in names if n.casefold() not in taken and _free_for(mesh, output / n))
         taken.add(name.casefold())
@@ -34,13 +34,15 @@ def result_folders(meshes: Sequence[Path], output: Path) -> dict[Path, Path]:
     return folders
 
 
+def _plain(mesh: Path) -> str:
+    """The mesh's name without its ending; one of dots alone would name `output` itself or the folder above it."""
+    return mesh.stem if mesh.stem.strip(". ") else "mesh"
+
+
 def _free_for(mesh: Path, folder: Path) -> bool:
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return True
-    try:
-        return json.loads((folder / "grasps.json").read_text(encoding="utf-8"))["mesh"] == str(mesh.resolve())
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
+    return record_of(folder).get("mesh") == str(mesh.resolve())
 
 
 def write_grasps(
@@ -63,7 +65,7 @@ def write_grasps(
         page: grasps in index.html, at most; no page for 0.
         contact: of the grasps, for contact.npz and, where `formats` has ply, coloured meshes; not written when omitted.
     """
-    with filling(folder, RESULTS) as temporary:
+    with filling(folder, RESULTS, has_results) as temporary:
         if page:
             write_viewer(temporary / "index.html", grasps.first(page), record["name"])
         if sheet:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from grabnet.cli.progress import track
 from grabnet.geometry.mesh import Mesh, save_mesh
 from grabnet.visual.pictures import OBJECT, SKIN
 
@@ -15,7 +16,7 @@ from grabnet.visual.pictures import OBJECT, SKIN
 def write_glb(folder: Path, mesh: Mesh, hands: np.ndarray, faces: np.ndarray) -> None:
     """`grasp_000.glb` …: scenes of the nodes "object" and "hand"."""
     solid = _coloured(mesh.vertices, mesh.faces, OBJECT)
-    for i, vertices in enumerate(hands):
+    for i, vertices in enumerate(track(hands, "Writing meshes")):
         hand = _coloured(vertices, faces, SKIN)
         _ = hand.vertex_normals  # once computed they are written: the hand is smooth, the object may have edges
         scene = trimesh.Scene()
@@ -27,7 +28,7 @@ def write_glb(folder: Path, mesh: Mesh, hands: np.ndarray, faces: np.ndarray) ->
 def write_ply(folder: Path, mesh: Mesh, hands: np.ndarray, faces: np.ndarray) -> None:
     """`object.ply` once and `hand_000.ply` …"""
     save_mesh(folder / "object.ply", mesh)
-    for i, vertices in enumerate(hands):
+    for i, vertices in enumerate(track(hands, "Writing meshes")):
         save_mesh(folder / f"hand_{i:03d}.ply", Mesh(vertices, faces))
 
 
@@ -41,6 +42,9 @@ def write_npz(folder: Path, mesh: Mesh, hands: np.ndarray, faces: np.ndarray) ->
         object_faces=mesh.faces,
     )
 
+
+# Of all files that these write, as patterns.
+MESH_NAMES = ("grasp_[0-9][0-9][0-9]*.glb", "object.ply", "hand_[0-9][0-9][0-9]*.ply", "meshes.npz")
 
 # Each writes the object, hands (N, V, 3) and their faces (F, 3) into a folder.
 FORMATS: dict[str, Callable[[Path, Mesh, np.ndarray, np.ndarray], None]] = {

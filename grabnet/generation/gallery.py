@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from grabnet.body.anatomy import FINGERS
+from grabnet.cli.progress import track
 from grabnet.generation.grasps import Grasps
 from grabnet.visual.pictures import OBJECT, SKIN, Shape, contact_sheet
 from grabnet.visual.views import both_sides
@@ -18,7 +19,8 @@ def grasp_sheet(grasps: Grasps, size: int = 280) -> np.ndarray:
     """
     solid = Shape(grasps.mesh.vertices, grasps.mesh.faces, OBJECT)
     tiles, captions = [], []
-    for hand, record in zip(grasps.vertices.numpy(), grasps.report(), strict=True):
+    shown = zip(grasps.vertices.numpy(), grasps.report(), strict=True)
+    for hand, record in track(shown, "Drawing pictures", len(grasps)):
         tiles.append(both_sides(solid, Shape(hand, grasps.faces, SKIN), grasps.up, grasps.to_object[1, :3], size))
         touching = [finger for finger in FINGERS if record["contact_vertices"][finger]]
         captions.append(f"{record['index']}: {record['max_penetration_mm']:.1f} mm deep · {_listed(touching)}")

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.cli.checks import Batch, Betas, Count, Distance, Positive, Seed, in_range, one_of
+from grabnet.cli.progress import track
 from grabnet.contact.contacts import CONTACT_DISTANCE, Contacts
 from grabnet.errors import UserError
 from grabnet.generation.grasps import Grasps
@@ -172,7 +173,8 @@ class Grabber(nn.Module):
         objects = placement.objects(atlas)
         codes = self.generator.encode(objects)
         batches = []
-        for z, ways in zip(noise.split(self.batch_size), placement.ways(n_filled).split(self.batch_size), strict=True):
+        inputs = zip(noise.split(self.batch_size), placement.ways(n_filled).split(self.batch_size), strict=True)
+        for z, ways in track(inputs, "Drawing grasps", n_filled // self.batch_size):
             chosen = objects.select(ways)
             hands = self.generator.sample(codes[ways], chosen, z, rest)
             distances = chosen.signed_distances(self.hand(hands, rest).vertices)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,13 +15,33 @@ from grabnet.body.anatomy import FINGERS
 from grabnet.body.hand import HandParameters
 from grabnet.contact.contacts import DEFINITIONS, Contacts
 from grabnet.errors import UserError
-from grabnet.generation.formats import FORMATS
+from grabnet.generation.formats import FORMATS, MESH_NAMES
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.rotations import matrix_to_axis_angle
 from grabnet.io.files import filling, write_json
 
-# What a folder of results holds. The last one is written last: where it lies, the others are complete.
-RESULTS = ("meshes", "contact", "contact.npz", "index.html", "contact_sheet.png", "grasps.npz", "grasps.json")
+RECORD = "grasps.json"
+# The files of a folder of results. The last one is written last: where it lies, the others are complete.
+RESULTS = (
+    *(f"meshes/{name}" for name in MESH_NAMES),
+    *(f"contact/{node}_[0-9][0-9][0-9]*.ply" for node in ("object", "hand")),
+    *("contact.npz", "index.html", "contact_sheet.png", "grasps.npz"),
+    RECORD,
+)
+
+
+def record_of(folder: Path) -> dict[str, Any]:
+    """What a folder says of its results; empty where it says nothing."""
+    try:
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return record if isinstance(record, dict) else {}
+
+
+def has_results(folder: Path) -> bool:
+    """Whether a folder holds grasps that were written by `Grasps.save`."""
+    return {"grasps", "definitions"} <= record_of(folder).keys()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -115,9 +136,9 @@ class Grasps:
             record: facts for grasps.json, ready for JSON, beside the list `grasps` and the definitions of its numbers.
 
         Raises:
-            UserError: an unknown format.
+            UserError: an unknown format, or a folder with files of these names that are not earlier results.
         """
-        with filling(folder, RESULTS) as temporary:
+        with filling(folder, RESULTS, has_results) as temporary:
             self.write(temporary, formats, record)
 
     def write(self, folder: Path, formats: Sequence[str], record: Mapping[str, Any]) -> None:
@@ -129,7 +150,7 @@ class Grasps:
             (folder / "meshes").mkdir(exist_ok=True)
             FORMATS[name](folder / "meshes", self.mesh, self.vertices.numpy(), self.faces.numpy())
         definitions = {"definitions": DEFINITIONS, "contact_distance": self.contacts.contact_distance}
-        write_json(folder / "grasps.json", {**record, **definitions, "grasps": self.report()})
+        write_json(folder / RECORD, {**record, **definitions, "grasps": self.report()})
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What grasps.npz holds, as the field's hand models take it (metres, radians, along the axes of the mesh).

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from grabnet.body.hand import HandModel
+from grabnet.cli.progress import track
 from grabnet.data.objects import MESH_SUFFIXES
 from grabnet.errors import UserError
 from grabnet.generation.config import SamplingConfig, listed, usable_device
@@ -57,7 +58,7 @@ def run(config: SamplingConfig) -> int:
     for kind, path in grabber.weights.items():
         print(f"{kind}: {path}")
     grabber.to(usable_device(config.device))
-    for file, folder in result_folders(files, Path(config.output).expanduser()).items():
+    for file, folder in track(result_folders(files, Path(config.output).expanduser()).items(), "Sampling meshes"):
         try:
             grasps = grabber(
                 file,

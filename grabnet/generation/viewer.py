@@ -33,6 +33,7 @@ def write_viewer(path: str | Path, grasps: Grasps, title: str) -> None:
     data = {
         "title": title,
         "side": grasps.side,
+        "contact_mm": round(1000 * grasps.contacts.contact_distance, 2),
         "low": low.tolist(),
         "step": step,
         "up": grasps.up.tolist(),

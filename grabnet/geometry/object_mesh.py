@@ -59,21 +59,24 @@ def load_object(
     name = "The mesh" if isinstance(mesh, Mesh) else mesh
     if to_object is None:
         to_object = file_to_object("" if isinstance(mesh, Mesh) else mesh, scale, up)
-    to_object = np.asarray(to_object, np.float64)
-    _check_similarity(to_object)
-    loaded = ObjectMesh(mesh if isinstance(mesh, Mesh) else load_mesh(mesh), to_object)
+    loaded = ObjectMesh(mesh if isinstance(mesh, Mesh) else load_mesh(mesh), _similarity(to_object))
     check_size(loaded.solid, name, max_size, min_size)
     return loaded
 
 
-def _check_similarity(matrix: np.ndarray) -> None:
-    """Raise a `UserError` for a (4, 4) matrix that is no rigid motion times a scale."""
-    if matrix.shape == (4, 4) and np.isfinite(matrix).all() and (matrix[3] == [0, 0, 0, 1]).all():
-        linear = matrix[:3, :3]
-        if np.linalg.det(linear) > 0:
-            scale = np.linalg.det(linear) ** (1 / 3)
-            if np.abs(linear @ linear.T / scale**2 - np.eye(3)).max() < 1e-4:
-                return
+def _similarity(values: object) -> np.ndarray:
+    """(4, 4) float64 matrix; a `UserError` for one that is no rigid motion times a scale."""
+    try:
+        matrix = np.asarray(values)
+    except (ValueError, TypeError, RuntimeError):  # ragged lists, tensors elsewhere or with gradients
+        matrix = np.empty(0)
+    if matrix.dtype.kind in "fiu" and matrix.shape == (4, 4) and np.isfinite(matrix).all():
+        matrix = matrix.astype(np.float64)
+        linear = matrix[:3, :3] / (np.abs(matrix[:3, :3]).max() or 1.0)  # of any scale without overflow
+        det = max(np.linalg.det(linear), 1e-9)  # nothing of a smaller one scales all axes alike
+        alike = np.abs(linear @ linear.T / det ** (2 / 3) - np.eye(3)).max() < 1e-4
+        if alike and (matrix[3] == [0, 0, 0, 1]).all():
+            return matrix
     raise UserError(
         "to_object is no rotation times a scale, with a shift: it must be (4, 4), finite, turn without mirroring, and "
         "scale all axes alike."

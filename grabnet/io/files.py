@@ -6,8 +6,7 @@ import errno
 import hashlib
 import json
 import os
-import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -58,39 +57,43 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 @contextmanager
-def filling(folder: str | Path, names: Sequence[str]) -> Iterator[Path]:
-    """A temporary folder beside `folder`; what it holds of `names` moves there when the block ends well.
+def filling(folder: str | Path, names: Sequence[str], is_ours: Callable[[Path], bool]) -> Iterator[Path]:
+    """A temporary folder beside `folder`; the files in it move there when the block ends well.
 
-    Earlier files and folders of these names give way; everything else in `folder` stays. The last name is removed first
-    and moved last: where it lies, the others are complete and belong to it.
+    Earlier files of these names give way; everything else in `folder` stays. Those of the last name are removed first
+    and moved last: where they lie, the others are complete and belong to them.
+
+    Args:
+        folder: made when needed.
+        names: of all files that the block may write, relative to the folder, as patterns: `meshes/hand_*.ply`.
+        is_ours: whether the folder holds earlier results.
 
     Raises:
-        UserError: files or folders of these names without the last one: they are not of earlier results.
+        UserError: files of these names in a folder that holds no earlier results.
     """
     folder = Path(folder)
-    foreign = [name for name in names if (folder / name).exists()]
-    if foreign and names[-1] not in foreign:
-        raise UserError(
-            f"{folder / foreign[0]} is not of earlier results, which have {names[-1]} beside it: move it, or choose "
-            "another folder."
-        )
+    if (there := _named(folder, names)) and not is_ours(folder):
+        raise UserError(f"{there[0]} is not of earlier results: move it, or choose another folder.")
     folder.parent.mkdir(parents=True, exist_ok=True)
     clear_litter(folder.parent, folder.name, contents=names)
     with naming(folder, folder.parent / f".{folder.stem}-"), temporary_beside(folder, is_folder=True) as temporary:
         yield temporary
         folder.mkdir(exist_ok=True)
-        for name in reversed(names):
-            _remove(folder / name)
-        for name in names:
-            if (temporary / name).exists():
-                (temporary / name).replace(folder / name)
+        earlier = [path for path in _named(folder, names) if path.is_file() or path.is_symlink()]
+        for path in reversed(earlier):
+            path.unlink()
+        for within in {path.parent for path in earlier} - {folder}:
+            if not any(within.iterdir()):
+                within.rmdir()
+        for path in _named(temporary, names):
+            place = folder / path.relative_to(temporary)
+            place.parent.mkdir(exist_ok=True)
+            path.replace(place)
 
 
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+def _named(folder: Path, patterns: Sequence[str]) -> list[Path]:
+    """Files in a folder in the order of the patterns that they match."""
+    return [path for pattern in patterns for path in sorted(folder.glob(pattern))]
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:

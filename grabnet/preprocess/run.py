@@ -19,9 +19,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
 from grabnet.cli.checks import Concurrent, Count, Distance, Name, in_range, one_of
+from grabnet.cli.progress import steps
 from grabnet.contact.rules import ContactRules
 from grabnet.data.frames import FORMAT as STORE_FORMAT
 from grabnet.data.frames import read_header, shard_names, shard_path, start_store
@@ -65,6 +64,7 @@ class PreprocessConfig:
     threads: Concurrent | None
     max_deaths: Count
     contact: ContactRules = field(default_factory=ContactRules)  # for `data`, whose config refers to it
+    quiet: bool = False  # for the command
 
     def __post_init__(self):
         one_of(self, backend=BACKENDS)
@@ -141,7 +141,7 @@ def preprocess(config: PreprocessConfig) -> list[Outcome]:
 
 
 def _work(config: PreprocessConfig, names: list[str], done: set[str]) -> Iterator[Outcome]:
-    """Outcomes of what is not done, with a progress bar."""
+    """Outcomes of what is not done."""
     cores = 1 if config.backend == "dask" else machine_cores() // config.workers
     work = SequenceWork(config.data, config.filter, config.store, config.threads or max(1, cores))
     left = [name for name in names if name not in done]
@@ -150,13 +150,11 @@ def _work(config: PreprocessConfig, names: list[str], done: set[str]) -> Iterato
         if config.backend == "dask"
         else by_joblib(work, left, config.workers, config.max_deaths)
     )
-    columns = (TextColumn("Recordings"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, TextColumn("left:"), TimeRemainingColumn(), TextColumn("{task.description}")) as bar:
-        task = bar.add_task("", total=len(names), completed=len(done))
+    with steps("Reading recordings", len(names), len(done)) as counted:
         for outcome in outcomes if left else ():
-            bar.update(task, advance=1, description=outcome.name)
+            counted.advance(about=outcome.name)
             if outcome.failure:
-                bar.console.print(f"{outcome.name} failed: {outcome.failure}", markup=False, style="red")
+                print(f"{outcome.name} failed: {outcome.failure}")
             yield outcome
 
 

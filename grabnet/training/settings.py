@@ -50,6 +50,7 @@ class TrainingConfig:
     trainer: dict[str, Any]
     callbacks: dict[str, dict[str, Any] | None]
     logger: dict[str, dict[str, Any] | None]
+    quiet: bool = False  # for the command
 
     def __post_init__(self):
         in_range(self)

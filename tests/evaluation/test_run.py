@@ -22,6 +22,7 @@ from grabnet.body.hand import HandModel
 from grabnet.cli.entry import compose
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.errors import UserError
+from grabnet.evaluation.generated import read_grasps
 from grabnet.evaluation.run import run
 from grabnet.generation.grabber import Grabber
 from grabnet.geometry.mesh import load_mesh
@@ -260,22 +261,20 @@ def test_grasps_of_other_methods(call, made):
     assert "meshes" not in found["metrics"]["posture/violations"]["values"]
 
 
-def test_hands_far_away_and_tiny_ones_give_zeros(call, made, tmp_path):
-    for name, scale, offset in (("far", 1.0, 1.0), ("tiny", 0.01, 0.2)):
-        (tmp_path / name / "ring").mkdir(parents=True)
-        for i in range(2):
-            mesh = trimesh.load(made / "meshes" / "ring" / f"hand_{i + 1}.ply", process=False)
-            mesh.vertices = scale * mesh.vertices + offset
-            mesh.export(tmp_path / name / "ring" / f"{i}.ply")
-    found = results(call("models=[]", f"grasps=[{tmp_path / 'far'},{tmp_path / 'tiny'}]", "simulated=2"))
+def test_hands_that_do_not_touch_give_zeros(call, made, tmp_path):
+    (tmp_path / "apart" / "ring").mkdir(parents=True)
+    for i in range(2):
+        mesh = trimesh.load(made / "meshes" / "ring" / f"hand_{i + 1}.ply", process=False)
+        mesh.vertices += 0.15
+        mesh.export(tmp_path / "apart" / "ring" / f"{i}.ply")
+    found = results(call("models=[]", f"grasps={tmp_path / 'apart'}", "simulated=2"))
     none = ["halo/volume", "halo/depth", "halo/contact", "grasptta/volume", "grasptta/contact", "contact/area"]
     none += ["contact/fingers", "contact/pinched", "penetration/max", "penetration/mean", "shake/success"]
     none += ["shake/failed", "grasptta/failed"]
-    for row in ("far", "tiny"):
-        assert {name: found["metrics"][name]["values"][row]["all"]["value"] for name in none} == dict.fromkeys(none, 0)
-        assert found["metrics"]["grasptta/displacement"]["values"][row]["all"]["value"] == pytest.approx(
-            10.73, abs=0.01
-        )
+    values = {name: found["metrics"][name]["values"]["apart"]["all"]["value"] for name in none}
+    assert values == dict.fromkeys(none, 0)
+    displacement = found["metrics"]["grasptta/displacement"]["values"]["apart"]["all"]["value"]
+    assert displacement == pytest.approx(10.73, abs=0.01)
     assert found["failures"] == []
 
 
@@ -334,10 +333,77 @@ def test_unusable_grasps_are_refused(call, made, spoil, sentence):
         call("models=[]", f"grasps={made / 'meshes'}")
 
 
+@pytest.mark.parametrize(
+    ("scale", "offset", "sentence"),
+    [
+        (1000, 0, "largest side of .*divide by 1000 if it is in millimetres"),
+        (100, 0, "divide by 100 if it is in centimetres"),
+        (10, 0, "divide by 10 if it is in decimetres"),
+        (0.01, 0, "check its pose, shape and units"),
+        (1, 1.0, "m away from the object: give hands in metres, in the frame of .*ring.ply"),
+        (1, -0.4, "away from the object"),
+        (1, 1e6, "away from the object"),
+    ],
+)
+def test_hands_in_other_units_and_frames_are_refused(made, tiny_dataset, hand, scale, offset, sentence):
+    """The last hand of a folder alone: none of them counts without being looked at."""
+    file = made / "meshes" / "ring" / "hand_2.ply"
+    mesh = trimesh.load(file, process=False)
+    mesh.vertices = scale * mesh.vertices + offset
+    mesh.export(file)
+    with pytest.raises(UserError, match=f"{file} .*{sentence}"):
+        read_grasps(made / "meshes", "ring", tiny_dataset / OBJECT_MESHES / "ring.ply", hand, 100)
+
+
+def _with(name, change):
+    """Spoil one array of the parameters."""
+
+    def spoil(file):
+        values = dict(np.load(file))
+        np.savez(file, **values | {name: change(values[name])})
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (_with("betas", lambda b: b * np.nan), "betas of grasp 0 are not all finite"),
+        (_with("betas", lambda b: b + np.array([[0], [0], [np.inf]])), "betas of grasp 2 are not all finite"),
+        (_with("betas", lambda b: b + np.array([[0], [1e38], [0]])), "grasp 1 "),
+        (_with("betas", lambda b: b + 1000), "grasp 0 has a largest side of .* no hand has"),
+        (_with("betas", lambda b: b[:2]), r"betas has shape \(2, 10\)"),
+        (_with("betas", lambda b: np.zeros((3, 11))), r"betas has shape \(3, 11\); \(N, up to 10\)"),
+        (_with("betas", lambda b: b.astype(str)), "finite numbers are needed"),
+        (_with("transl", lambda t: 1000 * t), "divide transl by 1000 if it is in millimetres"),
+        (_with("transl", lambda t: 100 * t), "divide transl by 100 if it is in centimetres"),
+        (_with("transl", lambda t: t + 2 * np.eye(3)), "grasp 0 is .* away from the object"),
+        (_with("transl", lambda t: t + 1e30), "grasp 0 "),
+        (_with("transl", lambda t: t.astype(float) + 1e300), "transl of grasp 0 are not all finite"),
+        (_with("transl", lambda t: np.float32(3)), r"transl has shape \(\)"),
+        (_with("global_orient", lambda r: r * np.nan), "global_orient of grasp 0"),
+        (_with("hand_pose", lambda p: np.full_like(p, -np.inf)), "hand_pose of grasp 0"),
+    ],
+)
+def test_parameters_that_pose_no_hand_are_refused(made, tiny_dataset, hand, spoil, sentence):
+    spoil(made / "parameters" / "ring" / "grasps.npz")
+    with pytest.raises(UserError, match=f"grasps.npz: .*{sentence}"):
+        read_grasps(made / "parameters", "ring", tiny_dataset / OBJECT_MESHES / "ring.ply", hand, 100)
+
+
 def test_grasps_for_another_mesh_are_refused(call, made):
     (made / "parameters" / "ring" / "grasps.json").write_text(json.dumps({"mesh_sha256": "0" * 64}))
     with pytest.raises(UserError, match="made for another mesh"):
         call("models=[]", f"grasps={made / 'parameters'}")
+
+
+def test_poses_of_another_hand_are_refused(call, made):
+    record = made / "parameters" / "ring" / "grasps.json"
+    record.write_text(json.dumps({"hand_sha256": "0" * 64}))
+    with pytest.raises(UserError, match="are poses of another hand model: give them as meshes"):
+        call("models=[]", f"grasps={made / 'parameters'}")
+    record.write_text(json.dumps({"hand_sha256": sha256(HandModel.open().v_template.numpy())}))
+    call("models=[]", f"grasps={made / 'parameters'}")
 
 
 @pytest.mark.parametrize(
@@ -363,8 +429,6 @@ def test_metrics_and_data_share_one_distance_of_contact(arguments):
 
 def test_poses_turned_by_hand(made, tiny_dataset, hand):
     """Parameters are posed as any model of MANO's schema would be."""
-    from grabnet.evaluation.generated import read_grasps
-
     hands = read_grasps(made / "parameters", "ring", tiny_dataset / OBJECT_MESHES / "ring.ply", hand, 2)
     meshes = read_grasps(made / "meshes", "ring", tiny_dataset / OBJECT_MESHES / "ring.ply", hand, 2)
     assert len(hands) == 2

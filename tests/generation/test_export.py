@@ -8,6 +8,7 @@ import trimesh
 from PIL import Image
 
 from grabnet.body.hand import OPEN_HANDS, HandModel, HandParameters
+from grabnet.errors import UserError
 from grabnet.generation.export import result_folders, write_grasps
 from grabnet.generation.formats import FORMATS
 from grabnet.generation.grasps import Grasps
@@ -136,3 +137,22 @@ def test_folders_are_named_after_meshes_and_never_shared(tmp_path):
     (out / "bowl").mkdir()
     (out / "bowl" / "photo.jpg").touch()
     assert result_folders([tmp_path / "bowl.ply"], out) == {tmp_path / "bowl.ply": out / "bowl-2"}
+
+
+@pytest.mark.parametrize("name", ["...obj", "....ply", ". .stl", "..glb"])
+def test_no_name_of_a_mesh_leads_out_of_the_output(name, tmp_path):
+    out = tmp_path / "out"
+    for mesh, folder in result_folders([tmp_path / name, tmp_path / "other" / name], out).items():
+        assert folder.parent == out and folder.resolve().parent == out.resolve(), mesh
+        assert folder.name.startswith("mesh")
+
+
+def test_what_lies_where_results_go_is_never_deleted(grasps, tmp_path):
+    """A page and meshes of the user's, beside a file that is called like the record of grasps."""
+    mine = {"grasps.json": '{"grasps": [1]}', "index.html": "mine", "meshes/object.ply": "mine", "meshes/a.ply": "mine"}
+    (tmp_path / "meshes").mkdir()
+    for name, text in mine.items():
+        (tmp_path / name).write_text(text)
+    with pytest.raises(UserError, match="is not of earlier results"):
+        grasps.first(1).save(tmp_path)
+    assert {str(p.relative_to(tmp_path)): p.read_text() for p in tmp_path.rglob("*") if p.is_file()} == mine

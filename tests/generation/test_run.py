@@ -127,6 +127,21 @@ def test_a_folder_without_meshes_is_told(call, tmp_path, capsys):
     assert "holds no mesh" in capsys.readouterr().err
 
 
+def test_a_name_of_dots_leads_nowhere_else(call, tmp_path):
+    """`...obj` without its ending is the folder above: what lies there stays as it is."""
+    mine = {"index.html": "mine", "grasps.json": "{}", "meshes/scan.obj": "mine", "out/notes.txt": "mine"}
+    for name, text in mine.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    (tmp_path / "in").mkdir()
+    trimesh.creation.icosphere(2, 0.04).export(tmp_path / "in" / "...obj", file_type="obj")
+    for _ in range(2):
+        assert call(mesh=str(tmp_path / "in"), n=1, page=1, format="ply") == 0
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["mesh", "notes.txt"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["grasps.json", "in", "index.html", "meshes", "out"]
+    assert {name: (tmp_path / name).read_text() for name in mine} == mine
+
+
 def test_output_that_cannot_be_written_is_told(call, folder, tmp_path, capsys):
     (tmp_path / "out").write_text("a file stands in the way")
     assert call(mesh=str(folder / "ball.obj")) == 1

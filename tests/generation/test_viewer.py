@@ -60,7 +60,9 @@ def test_title_and_measurements_are_those_of_the_grasps(browser, grasps):
     browser.evaluate("show(1)")
     facts = browser.evaluate("document.getElementById('facts').innerText")
     record = grasps.report()[1]
-    assert "grasp 2 of 5" in facts
+    assert "grasp 1 (of 0 to 4, as in the files)" in facts  # counted as in meshes/grasp_001.glb and grasps.json
+    buttons = browser.evaluate("[...document.querySelectorAll('#list button')].map(b => b.textContent)")
+    assert buttons == [f"{r['index']}: {r['max_penetration_mm']:.1f} mm" for r in grasps.report()]
     assert f"{record['max_penetration_mm']:.1f} mm" in facts
     for part, count in record["contact_vertices"].items():
         assert re.search(rf"{part}\s+{f'{count} in contact' if count else '–'}", facts)
@@ -137,3 +139,44 @@ def test_thumbnails_are_drawn(browser):
     drawn = """[...document.querySelectorAll('#list canvas')].map(c =>
                c.getContext('2d').getImageData(0, 0, 128, 128).data.filter((x, i) => i % 4 === 3 && x).length)"""
     assert min(browser.evaluate(drawn)) > 500
+
+
+def test_contact_colours_are_explained(browser):
+    legend = """[...document.querySelectorAll('#legend span')].map(
+                s => [getComputedStyle(s.querySelector('i')).backgroundColor, s.textContent])"""
+    assert browser.evaluate(legend) == [
+        ["rgb(237, 107, 56)", "touching: within 4.5 mm of the object"],
+        ["rgb(158, 41, 107)", "inside the object"],
+    ]
+    browser.evaluate("document.getElementById('contacts').click()")
+    assert browser.evaluate(legend) == []  # nothing is coloured
+    browser.evaluate("document.getElementById('contacts').click()")
+
+
+@pytest.mark.parametrize("size", [(390, 844), (844, 390), (360, 640), (900, 600)])
+def test_nothing_covers_the_scene(browser, size):
+    """Phones upright and on their side, too: what is written stands beside the scene, which has most of the room."""
+    try:
+        browser.call(
+            "Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1, mobile=True
+        )
+        browser.wait(f"innerWidth === {size[0]} && innerHeight === {size[1]}")
+        boxes = browser.evaluate(
+            """Object.fromEntries(["view", "facts", "list", "help"].map(id => {
+               const r = document.getElementById(id).getBoundingClientRect();
+               return [id, [r.left, r.top, r.right, r.bottom]]; }))"""
+        )
+        left, top, right, bottom = boxes["view"]
+        assert (right - left) * (bottom - top) > 0.29 * size[0] * size[1]
+        for name in ("facts", "list"):
+            a, b, c, d = boxes[name]
+            assert min(right, c) <= max(left, a) + 1 or min(bottom, d) <= max(top, b) + 1, name
+            assert c - a > 50 and d - b > 50
+        for a, b, c, d in boxes.values():
+            assert 0 <= a <= c <= size[0] and 0 <= b <= d <= size[1]
+        assert boxes["help"] == [0, 0, 0, 0] or size == (900, 600)
+        fits = "['facts', 'stage'].map(id => document.getElementById(id)).every(e => e.scrollWidth <= e.clientWidth)"
+        assert browser.evaluate(fits)
+    finally:
+        browser.call("Emulation.setDeviceMetricsOverride", width=900, height=600, deviceScaleFactor=1, mobile=False)
+        browser.wait("innerWidth === 900")

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import torch
 import trimesh
 
 from grabnet.errors import UserError
@@ -77,8 +78,35 @@ def test_a_mesh_in_millimetres_is_refused_like_its_file(tmp_path):
         np.diag([1.0, 1, np.nan, 1]),
         np.eye(3),
         np.diag([1.0, 1, 1, 2]),
+        np.diag([-1.0, -1, -1, 1]),  # a point reflection
+        np.diag([1.0, 1, 1e-9, 1]),  # a projection, nearly
+        np.diag([1.0, 1, 1.001, 1]),
+        np.diag([1.0, 1, np.inf, 1]),
+        np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0.1, 0, 0, 1]]),  # the shift in the last row
+        np.array([[1.0, 0, 0, np.nan], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]),
+        np.eye(4)[None],
+        np.eye(4)[:3],
+        np.eye(4) * 1j,
+        np.eye(4).astype(str),
+        np.eye(4, dtype=bool),
+        [[1, 0], [0]],
+        "z",
+        {},
+        torch.eye(4, requires_grad=True),
     ],
 )
 def test_what_is_no_similarity_is_refused(matrix):
     with pytest.raises(UserError, match="to_object is no rotation times a scale"):
         load_object(box((0.1, 0.05, 0.02)), to_object=matrix)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3, 0.0254])
+def test_a_rotation_times_a_scale_with_a_shift_is_taken(scale):
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * trimesh.transformations.random_rotation_matrix(np.array([0.1, 0.5, 0.9]))[:3, :3]
+    matrix[:3, 3] = 0.3, -0.2, 0.1
+    for given in (matrix, matrix.tolist(), matrix.astype(np.float32), torch.tensor(matrix)):
+        loaded = load_object(box(np.array((0.1, 0.05, 0.02)) / scale), to_object=given)
+        np.testing.assert_allclose(loaded.to_object, matrix, rtol=1e-6)
+        centre = loaded.mesh.vertices.mean(0) @ matrix[:3, :3].T + matrix[:3, 3]
+        np.testing.assert_allclose(loaded.solid.vertices.mean(0), centre, atol=1e-6)

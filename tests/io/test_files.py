@@ -70,17 +70,31 @@ def test_a_missing_file_is_told_with_what_lies_beside(tmp_path):
 
 
 def test_what_is_not_of_earlier_results_is_never_deleted(tmp_path):
-    """A folder of the user's that is called like a result."""
+    """Files of the user's beside results, in a folder that is called like one of them, and called like a result."""
+    names = ("meshes/hand_*.ply", "page.html", "done.json")
     mine = tmp_path / "meshes" / "scan.obj"
     mine.parent.mkdir()
     mine.write_text("mine")
-    with (
-        pytest.raises(UserError, match=r"meshes is not of earlier results, which have done\.json beside it"),
-        filling(tmp_path, ("meshes", "done.json")) as temporary,
-    ):
-        (temporary / "done.json").write_text("{}")
-    assert mine.read_text() == "mine"
-    (tmp_path / "done.json").write_text("{}")  # of earlier results
-    with filling(tmp_path, ("meshes", "done.json")) as temporary:
-        (temporary / "done.json").write_text("{}")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["done.json"]
+
+    def fill(*written: str) -> None:
+        with filling(tmp_path, names, lambda folder: (folder / "done.json").exists()) as temporary:
+            (temporary / "meshes").mkdir()
+            for name in written:
+                (temporary / name).write_text("ours")
+
+    fill("meshes/hand_0.ply", "meshes/hand_1.ply", "done.json")
+    fill("meshes/hand_1.ply", "page.html", "done.json")
+    found = [str(p.relative_to(tmp_path)) for p in sorted(tmp_path.rglob("*")) if p.is_file()]
+    assert found == ["done.json", "meshes/hand_1.ply", "meshes/scan.obj", "page.html"]
+    mine.unlink()
+    fill("done.json")
+    assert [p.name for p in tmp_path.iterdir()] == ["done.json"]
+    for name in ("page.html", "meshes/hand_7.ply"):
+        (tmp_path / "done.json").unlink()
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("mine")
+        with pytest.raises(UserError, match=f"{name} is not of earlier results: move it, or choose another folder"):
+            fill("done.json")
+        assert (tmp_path / name).read_text() == "mine"
+        (tmp_path / name).unlink()
+        fill("done.json")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ from grabnet.evaluation.protocols.reconstruction import Reconstruction
 from grabnet.generation.grabber import Grabber
 from grabnet.geometry.conventions import Conventions
 from grabnet.models.trained import find_model, load_model
-from grabnet.models.weights import FILE_NAME, read_conventions
+from grabnet.models.weights import FILE_NAME, load_network, read_conventions, save_network
 from grabnet.training.run import train
 from tests.tiny import tiny_overrides
 
@@ -195,4 +195,15 @@ def test_a_source_that_knows_objects_otherwise_is_refused(runs, dataset, cache_d
     values += ["source=guesses_to_recorded", f"source.coarsenet={tmp_path}"]
     inputs = EvaluationInputs(instantiate(compose("evaluate", [*values, f"cache_dir={tmp_path}"]), _convert_="object"))
     with pytest.raises(UserError, match=r"was trained with data.centre=mean_vertex .*centre=box"):
+        Reconstruction.of(inputs)()
+
+
+def test_a_source_of_another_hand_is_refused(runs, dataset, cache_dir, tmp_path):
+    network = load_network(runs / "coarsenet", kind="CoarseNet")
+    network.conventions = replace(network.conventions, hand="0" * 64)
+    save_network(tmp_path / "model.safetensors", network, {})
+    values = [*EVALUATION, f"data.root={dataset}", f"data.cache_dir={cache_dir}", f"models=[{runs}]"]
+    values += ["source=guesses_to_recorded", f"source.coarsenet={tmp_path}"]
+    inputs = EvaluationInputs(instantiate(compose("evaluate", [*values, f"cache_dir={tmp_path}"]), _convert_="object"))
+    with pytest.raises(UserError, match="was trained with another hand model"):
         Reconstruction.of(inputs)()

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import torch
 from filelock import FileLock
-from rich.progress import track
 from torch import Tensor
 
 from grabnet.body.hand import HandModel, HandParameters
+from grabnet.cli.progress import track
 from grabnet.data.frames import (
     FORMAT,
     check_sequence_name,
@@ -125,7 +125,7 @@ def _write(root: Path, store: Path, source: FrameSource, recipe: dict[str, Any])
     meshes, subjects = source.objects(), source.subjects()
     centroid = cache(lambda name: torch.as_tensor(load_mesh(meshes[name]).centroid, dtype=torch.float32))
     done = set(shard_names(store))
-    for sequence in track(list(source.sequences()), "Writing the frames", transient=True):
+    for sequence in track(list(source.sequences()), "Writing the frames"):
         if sequence in done:
             continue
         frames = source.read(sequence)

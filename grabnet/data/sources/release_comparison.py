@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from rich.progress import Progress
 from torch import Tensor
 
 from grabnet.body.hand import HandModel, HandParameters
+from grabnet.cli.progress import steps
 from grabnet.data.sources.release_geometry import Block, StoredGeometry
 from grabnet.data.sources.release_names import FrameName
 from grabnet.errors import UserError
@@ -139,14 +139,13 @@ def compare(
     done, names = record.frames(split), tuple(geometry.shapes)
     if done == len(rows):
         return
-    with Progress(transient=True) as progress:
-        task = progress.add_task(f"Comparing with stored vertices ({split})", total=len(rows), completed=done)
+    with steps(f"Comparing with stored vertices ({split})", len(rows), done) as counted:
         for block in geometry.blocks(rows[done:], names):
             off = comparison.off(frames, block)
             for name in names:
                 _refuse_far(geometry, block, name, off[name], tolerance[name])
             record.add(split, len(block.rows), off)
-            progress.advance(task, len(block.rows))
+            counted.advance(len(block.rows))
 
 
 def _refuse_far(geometry: StoredGeometry, block: Block, name: str, distances: Tensor, tolerance: float) -> None:

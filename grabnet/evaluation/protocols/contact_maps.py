@@ -12,6 +12,7 @@ import numpy as np
 import trimesh
 from hydra.utils import instantiate
 
+from grabnet.cli.progress import track
 from grabnet.contact.hands import HandAnnotator
 from grabnet.contact.rules import ContactRules
 from grabnet.evaluation.colours import blended
@@ -71,11 +72,11 @@ class ContactMaps(PerGrasp):
         """Write `contact/<method>/<object>…`, as `write_maps` does."""
         places: dict[str, Path] = {}  # of names that differ in other characters only, each its own
         for method in methods:
-            plain = re.sub("[^a-z0-9]+", "_", method.name.lower()).strip("_")
+            plain = re.sub("[^a-z0-9]+", "_", method.name.lower()).strip("_") or "method"
             names = itertools.chain([plain], (f"{plain}_{k}" for k in itertools.count(2)))
             unique = next(name for name in names if name not in places)
             place = places[unique] = folder / "contact" / unique
-            for name, hands in method.hands.items():
+            for name, hands in track(method.hands.items(), f"Writing contact of {method.name}"):
                 maps = {node: method.results[name][f"maps/{node}"] for node in ("object", "hand")}
                 write_maps(place, name, inputs.meshes[name], hands, maps, inputs.config.scenes)
 

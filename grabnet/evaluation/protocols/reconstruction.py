@@ -18,9 +18,9 @@ from typing import Self
 import numpy as np
 import torch
 from hydra.utils import instantiate
-from rich.progress import track
 
 from grabnet.body.hand import HandModel, HandParameters
+from grabnet.cli.progress import track
 from grabnet.data.batches import GraspBatch
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.data.splits import SPLITS
@@ -29,7 +29,7 @@ from grabnet.evaluation.metrics import ALL, Metric, Section
 from grabnet.evaluation.models import EvaluatedModel
 from grabnet.evaluation.protocol import PerNetwork, Score
 from grabnet.io.files import sha256
-from grabnet.models.weights import check_conventions, load_network
+from grabnet.models.weights import check_conventions, check_hand, load_network
 from grabnet.training.modules import (
     mean_shaped,
     reconstructed,
@@ -134,6 +134,8 @@ def _networks(inputs: EvaluationInputs, model: EvaluatedModel) -> dict[str, tupl
         networks["CoarseNet"] = inputs.data_for(coarse), reconstructor
     if "RefineNet" in loaded:
         source, data = instantiate(inputs.config.source), inputs.data_for(loaded["RefineNet"])
+        for path in source.trained_from.values():
+            check_hand(path, inputs.hand)
         check_conventions(source.trained_from, data.conventions)
 
         def refine(batch: GraspBatch) -> HandParameters:
@@ -157,7 +159,7 @@ def reconstruction(data: GraspDataModule, hand: HandModel, networks: Mapping[str
     for split in SPLITS:
         errors: dict[str, list[np.ndarray]] = {name: [] for name in networks}
         objects = []
-        for numbers in track(data.loader(split), f"Reconstruction ({split})", transient=True):
+        for numbers in track(data.loader(split), f"Reconstruction ({split})"):
             objects.append(data.frames(split).object[numbers[1]].numpy())
             for name, network in networks.items():
                 batch = data.on_after_batch_transfer(numbers, 0)  # seeds, too

@@ -18,6 +18,7 @@ from hydra.utils import instantiate
 from joblib import Parallel, delayed
 
 from grabnet.body.hand import HandModel
+from grabnet.cli.progress import track
 from grabnet.evaluation.inputs import EvaluationInputs
 from grabnet.evaluation.metrics import FIELD, Metric
 from grabnet.evaluation.protocol import PerGrasp
@@ -61,7 +62,11 @@ class _Simulated(PerGrasp):
     def prepare(self, meshes: Sequence[Mesh], processes: int) -> None:
         """Cut objects into convex pieces, several at once: processes that share an object would each do it."""
         cutting = (delayed(_cut)(mesh, self.config.decomposition, self.cache_dir) for mesh in meshes)
-        Parallel(n_jobs=processes, prefer="threads")(cutting)  # CoACD has a process of its own
+        pool = Parallel(
+            n_jobs=processes, prefer="threads", return_as="generator_unordered"
+        )  # CoACD has its own process
+        for _ in track(pool(cutting), "Cutting objects into convex pieces", len(meshes)):
+            pass
 
     def _outcomes(self, scene: GraspScene) -> list[tuple[Outcome, Outcome]] | None:
         """Return each grasp's outcomes by `grasptta` and `shake`; None for hands of other vertices."""

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from grabnet.cli.progress import track
 from grabnet.data.splits import SPLITS
 from grabnet.evaluation.bootstrap import Estimate
 from grabnet.evaluation.cache import Cache
@@ -190,7 +191,7 @@ def _definitions(findings: Findings) -> str:
 
 def _pictures(findings: Findings, n: int, cache: Cache) -> str:
     cards = []
-    for name, mesh in findings.objects.items():
+    for name, mesh in track(findings.objects.items(), "Drawing grasps"):
         lines = []
         for k, method in enumerate(findings.methods):
             if name not in method.hands:

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import torch
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 from torch import Tensor
 
 from grabnet.body.hand import OPEN_HANDS
+from grabnet.cli.progress import track
 from grabnet.errors import UserError
 from grabnet.geometry.rotations import matrix_to_axis_angle
 from grabnet.io.files import sha256, write_json
@@ -62,21 +62,14 @@ def build_grasps(
     if importlib.util.find_spec("mujoco") is None:
         raise UserError('Grasps are checked in MuJoCo, which is not installed: pip install "grabnet[evaluation]".')
     config = SynthesisConfig(per_object=per_object)
-    console = Console()
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     found: list[ObjectGrasps] = []
-    with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console) as progress:
-        task = progress.add_task("grasps", total=len(names))
-        for done in synthesise(names, config, seed, processes):
-            found.append(done)
-            row = done.report
-            progress.console.print(
-                f"{done.name}: {row['grasps']} grasps, {row['accepted']:.0%} accepted, {row['stable']:.0%} stable"
-            )
-            progress.advance(task)
+    for done in track(synthesise(names, config, seed, processes), "Synthesising grasps of objects", len(names)):
+        found.append(done)
+        row = done.report
+        print(f"{done.name}: {row['grasps']} grasps, {row['accepted']:.0%} accepted, {row['stable']:.0%} stable")
     grasps = write_asset(Path(path), found, subject_betas(config, seed), config, seed)
-    console.print(_table(found))
-    console.print(f"Wrote {len(grasps)} grasps of {len(found)} objects to {path}.")
+    Console().print(_table(found))
+    print(f"Wrote {len(grasps)} grasps of {len(found)} objects to {path}.")
     return grasps
 
 

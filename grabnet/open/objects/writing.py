@@ -7,8 +7,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
+from grabnet.cli.progress import steps
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import save_mesh
@@ -23,7 +22,7 @@ PROVENANCE = Path("tools/object_meshes/open_objects.json")
 
 
 def write_objects(root: str | Path, processes: int = 2) -> list[Path]:
-    """Mesh every object of `OBJECTS` under the dataset folder `root`, with a progress bar.
+    """Mesh every object of `OBJECTS` under the dataset folder `root`.
 
     Files of the present `FORMAT` are kept, so an interrupted call continues where it stopped.
     `open_objects.json` beside the meshes records versions, format, sizes, counts and hashes.
@@ -41,17 +40,15 @@ def write_objects(root: str | Path, processes: int = 2) -> list[Path]:
     facts = provenance(format=FORMAT)
     written = _up_to_date(root)
     missing = [name for name in OBJECTS if name not in written]
-    columns = (TextColumn("Objects"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
     # Spawned, not forked: a fork of a process with running threads (BLAS, torch) may hang.
     with (
-        Progress(*columns, TimeElapsedColumn()) as progress,
+        steps("Meshing objects", len(OBJECTS), len(written)) as counted,
         ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool,
     ):
-        task = progress.add_task("", total=len(OBJECTS), completed=len(written))
         for future in as_completed([pool.submit(_write, name, root) for name in missing]):
             name, written[name] = future.result()
             write_json(root / PROVENANCE, facts | {"objects": {name: written[name] for name in sorted(written)}})
-            progress.update(task, advance=1, description=name)
+            counted.advance(about=name)
     return [root / OBJECT_MESHES / f"{name}.ply" for name in OBJECTS]
 
 

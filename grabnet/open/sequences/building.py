@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from grabnet.body.hand import HandModel
 from grabnet.body.whole import OPEN_BODY, BodyModel
+from grabnet.cli.progress import steps
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import write_sequence
 from grabnet.errors import UserError
@@ -105,22 +104,19 @@ def build_sequences(
     body = BodyModel.open()
     write_subjects(root, body, open_subjects(body, grasps))
     write_table(root)
-    console = Console()
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console) as progress:
-        task = progress.add_task("sequences", total=number)
+    with steps("Recording sequences", number) as counted:
         planned, reports = 0, {}
         while (made := sum("given_up" not in report for report in reports.values())) < number:
             planned += number - made  # others take the place of those given up
             entries = schedule(grasps, planned, seed, tuple(recipe["subjects"]))[len(reports) :]
             there = {entry.name: report for entry in entries if (report := _reported(root, entry))}
-            progress.advance(task, sum("given_up" not in report for report in there.values()))
+            counted.advance(sum("given_up" not in report for report in there.values()))
             for entry, report in _made([e for e in entries if e.name not in there], root, seed, processes):
                 there[entry.name] = report
                 if "given_up" in report:
-                    progress.console.print(f"{entry.name}: given up ({report['rejected']}); another takes its place")
+                    print(f"{entry.name}: given up ({report['rejected']}); another takes its place")
                 else:
-                    progress.advance(task)
+                    counted.advance()
             reports |= {entry.name: there[entry.name] for entry in entries}
     summary = provenance(
         source="scripts/build_open.py sequences: planned and moved by inverse kinematics; nobody was recorded",
@@ -132,7 +128,7 @@ def build_sequences(
         reports=reports,
     )
     write_json(root / "sequences.json", summary)
-    console.print(f"Wrote {made} sequences, {summary['frames']} frames, to {root / 'grab'}.")
+    print(f"Wrote {made} sequences, {summary['frames']} frames, to {root / 'grab'}.")
 
 
 def schedule(grasps: OpenGrasps, number: int, seed: int, subjects: Sequence[str]) -> list[Entry]:

@@ -10,6 +10,7 @@ import torch
 from PIL import Image
 
 from grabnet.body.whole import BodyModel
+from grabnet.cli.progress import track
 from grabnet.data.sequences import load_below, read_sequence
 from grabnet.io.files import replacing
 from grabnet.visual.pictures import OBJECT, SKIN, Shape, contact_sheet, render
@@ -51,14 +52,14 @@ def draw(file: Path, root: Path, body: BodyModel, frames: np.ndarray, size: tupl
     people = body(sequence.body.parameters(frames), v_template).vertices
     room = sequence.table.rotations(slice(0, 1))[0].numpy()
     moved = []
-    for track, color in ((sequence.object, OBJECT), (sequence.table, _TABLE)):
-        mesh = load_below(root, track.mesh)
-        moved.append((track.to_world(torch.tensor(mesh.vertices), frames), mesh.faces, color))
+    for moving, color in ((sequence.object, OBJECT), (sequence.table, _TABLE)):
+        mesh = load_below(root, moving.mesh)
+        moved.append((moving.to_world(torch.tensor(mesh.vertices), frames), mesh.faces, color))
     return [
         render(
             [Shape(people[k], body.faces, SKIN), *(Shape(v[k], faces, color) for v, faces, color in moved)],
             room @ _VIEW,
             size=size,
         )
-        for k in range(len(frames))
+        for k in track(range(len(frames)), f"Drawing {file.stem}")
     ]

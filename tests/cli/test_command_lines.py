@@ -1,0 +1,102 @@
+"""Every value of every command's config on one real command line, which is then run to its end."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import logging
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+import trimesh
+
+from grabnet.body.hand import OPEN_HANDS
+from grabnet.cli import progress
+from grabnet.cli.entry import compose
+from grabnet.commands import COMMANDS
+from grabnet.models.weights import save_network
+from tests.cli.test_commands import CONFIG, leaves, typed
+from tests.preprocess.tiny_grab import overrides, write_grab
+from tests.tiny import tiny_overrides
+
+
+@pytest.fixture(scope="module")
+def runs(grabber, tmp_path_factory) -> Path:
+    runs = tmp_path_factory.mktemp("runs")
+    save_network(runs / "coarse" / "model.safetensors", grabber.generator.coarsenet, {})
+    save_network(runs / "fine" / "model.safetensors", grabber.generator.refinenet, {})
+    return runs
+
+
+@pytest.fixture
+def call(monkeypatch, capfd):
+    """Run a command on a command line that has every value of its config, none left to its default.
+
+    Returns its exit code, and what it wrote to stdout and stderr.
+    """
+    threads, level = torch.get_num_threads(), logging.root.level
+    monkeypatch.setattr(logging.root, "handlers", list(logging.root.handlers))  # Hydra sets others up
+    monkeypatch.setattr(progress, "_FIRST", 1e-3)
+    monkeypatch.setattr(progress, "_EVERY", 1e-3)
+
+    def call(command: str, *few: str) -> tuple[int, str, str]:
+        values = [f"{key}={typed(value)}" for key, value in leaves(compose(CONFIG[command], few))]
+        groups = [given for given in few if given.partition("=")[0] not in {v.partition("=")[0] for v in values}]
+        monkeypatch.setattr(sys, "argv", [command, *groups, *values])
+        capfd.readouterr()
+        code = importlib.import_module(COMMANDS[command][0]).main()
+        return code, *capfd.readouterr()
+
+    yield call
+    torch.set_num_threads(threads)
+    logging.root.setLevel(level)
+
+
+def test_sample(call, runs, cache_dir, tmp_path):
+    """A hand model by its file, too, and a network each from two places, as for networks trained with MANO."""
+    ball = tmp_path / "a ball (1).ply"
+    trimesh.creation.icosphere(2, 0.04).export(ball)
+    few = ["n=2", f"mesh='{ball}'", f"output={tmp_path / 'out'}", "batch_size=4", "sheet=1", f"cache_dir={cache_dir}"]
+    networks = [f"hand_model={OPEN_HANDS / 'MANO_RIGHT.npz'}", f"model=[{runs / 'coarse'},{runs / 'fine'}]"]
+    code, out, err = call("sample", *few, *networks, "betas=[0.5,-1]", "up=x", "format=[glb,ply,npz]", "quiet=false")
+    assert code == 0 and "2 grasps" in out
+    assert {"Sampling meshes: 0 of 1", "Annotating contact: 0 of 2"} <= set(err.splitlines())
+    record = json.loads((tmp_path / "out" / ball.stem / "grasps.json").read_text())
+    assert record["config"]["betas"] == [0.5, -1] and len(record["grasps"]) == 2
+
+
+def test_evaluate(call, runs, tiny_dataset, cache_dir, tmp_path):
+    data = ["data=frames", f"data.root={tiny_dataset}", "data.split.val=[ring]", "data.split.test=[can]"]
+    few = ["n=2", "halo_samples=2", "draws=20", "pictures=0", "processes=1", "simulated=1", "data.object_points=64"]
+    places = ["models=[newest]", f"runs={runs}", f"cache_dir={tmp_path}", f"data.cache_dir={cache_dir}"]
+    code, out, err = call("evaluate", *data, *few, *places, f"output={tmp_path / 'out'}", "quiet=false")
+    assert code == 0 and "report.html" in out
+    shown = {line.partition(":")[0] for line in err.splitlines()}
+    cut, drawn = "Cutting objects into convex pieces", "Drawing grasps from CoarseNet + RefineNet"
+    assert {cut, drawn, "Measuring grasps", "Reconstruction (train)"} <= shown
+
+
+def test_preprocess(call, cache_dir, tmp_path):
+    root, models = tmp_path / "grab", tmp_path / "models"
+    write_grab(root, models)
+    given = overrides(root, models, tmp_path / "out", cache_dir, "pictures=false", "quiet=false")
+    code, out, err = call("preprocess", *given)
+    assert code == 0 and "card.md describes it" in out
+    assert {"Reading recordings: 0 of 7"} <= set(err.splitlines())
+
+
+def test_benchmark(call, tmp_path):
+    code, out, err = call("benchmark", "suite=hand", "runs=2", "batch=2", f"output={tmp_path / 'a.json'}", "quiet=true")
+    assert code == 0 and "hand" in out and (tmp_path / "a.json").exists()
+    assert not err
+
+
+def test_train(call, tiny_dataset, cache_dir, tmp_path):
+    few = tiny_overrides(tiny_dataset, tmp_path / "run", cache_dir, "coarsenet", "trainer.max_epochs=2")
+    few.remove("callbacks.progress_bar=null")
+    code, _, err = call("train", *few, "quiet=false")
+    assert code == 0 and (tmp_path / "run" / "metrics.json").exists()
+    assert "Training: 0 of 6 (epoch 1 of 2)" in err and "Testing: 0 of " in err
+    assert any(line.startswith("Training: ") and "epoch 2 of 2, val/loss " in line for line in err.splitlines())
