@@ -1,0 +1,47 @@
+"""Text of mesh files, whatever program and system wrote it."""
+
+from __future__ import annotations
+
+import codecs
+
+from grabnet.geometry.formats.geometry import FormatError
+
+_MARKS = {  # UTF-32's first: UTF-16's mark begins it
+    codecs.BOM_UTF32_LE: "utf-32-le",
+    codecs.BOM_UTF32_BE: "utf-32-be",
+    codecs.BOM_UTF8: "utf-8",
+    codecs.BOM_UTF16_LE: "utf-16-le",
+    codecs.BOM_UTF16_BE: "utf-16-be",
+}
+
+
+def decoded(data: bytes) -> str:
+    """Text with lines ended by \\n and without a byte-order mark.
+
+    UTF-16 and UTF-32 are known by their mark, UTF-16 also by its zeros. All else is read as Latin-1, which takes every
+    byte: what counts in these formats is ASCII.
+
+    Raises:
+        FormatError: UTF-16 or UTF-32 that is damaged.
+    """
+    mark, encoding = next(((m, e) for m, e in _MARKS.items() if data.startswith(m)), (b"", "latin-1"))
+    if not mark and len(data) > 1 and 0 in data[:2] and any(data[:2]):
+        encoding = "utf-16-be" if data[0] == 0 else "utf-16-le"
+    try:
+        text = data[len(mark) :].decode("latin-1" if encoding == "utf-8" else encoding)
+    except UnicodeDecodeError:
+        raise FormatError(f"its {encoding[:6].upper()} text is damaged: save it as UTF-8") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def numbers(words: list[str], kind: type[float] | type[int], where: str) -> list:
+    """Words as numbers.
+
+    Raises:
+        FormatError: a word that is none.
+    """
+    try:
+        return [kind(word) for word in words]
+    except ValueError:
+        said = " ".join(words)[:40]
+        raise FormatError(f"{where} has {said!r} where numbers are due: export it again") from None
