@@ -8,7 +8,7 @@ from pathlib import Path
 
 from grabnet.body.hand import HandModel
 from grabnet.data.objects import MESH_SUFFIXES
-from grabnet.errors import UserError
+from grabnet.errors import UserError, unexpected
 from grabnet.generation.config import SamplingConfig, listed, usable_device
 from grabnet.generation.contact_maps import contact_maps
 from grabnet.generation.export import result_folders, write_grasps
@@ -81,6 +81,8 @@ def run(config: SamplingConfig) -> int:
             failures.append(str(error))
         except OSError as error:
             failures.append(f"{error.filename or folder} cannot be written ({error.strerror}).")
+        except Exception as error:  # a fault of ours in one mesh does not end the others
+            failures.append(unexpected(file, error))
     for sentence in failures:
         print(f"error: {sentence}", file=sys.stderr)
     return 1 if failures else 0
@@ -101,4 +103,6 @@ def _mesh_files(named: list[str]) -> tuple[list[Path], list[str]]:
             files |= {p.resolve(): p for p in inside}
         except UserError as error:
             failures.append(str(error))
+        except OSError as error:
+            failures.append(f"{name[:200]} cannot be read ({error.strerror}).")
     return list(files.values()), failures
