@@ -17,5 +17,5 @@ class UserError(ValueError):
 def unexpected(file: str | Path, error: Exception) -> str:
     """The sentence of an error in the work on a file that nothing foresaw."""
     place = next((f" in {Path(at.filename).name}:{at.lineno}" for at in reversed(extract_tb(error.__traceback__))), "")
-    what = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+    what = "".join(c if c.isprintable() else " " for c in f"{type(error).__name__}: {error}"[:200])
     return f"{file} met an unexpected error ({what}{place}): it is a fault of grabnet; report it there, with the file."

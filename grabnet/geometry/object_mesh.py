@@ -73,16 +73,17 @@ def load_object(
         mesh = with_sides(mesh, name)
     else:
         mesh = read_mesh(mesh)
+    corners = mesh.vertices.astype(np.float64) @ to_object[:3, :3].T + to_object[:3, 3]
+    check_offset(corners, mesh.faces, name)
     loaded = ObjectMesh(mesh, to_object)
     gap = widest_gap(loaded.solid)
     apart = (f"parts of it lie {_length(gap)} apart, and hands go to the middle of all",) if gap > FAR_PARTS else ()
     check_size(loaded.solid, name, max_size, min_size)
-    check_offset(loaded.solid.vertices, loaded.solid.faces, name)
     return replace(loaded, remarks=mesh.repairs + apart)
 
 
 def _length(metres: float) -> str:
-    return f"{metres:.3g} m" if metres >= 1 else f"{100 * metres:.2g} cm"
+    return f"{metres:,.0f} m" if metres >= 1 else f"{100 * metres:.2g} cm"
 
 
 def _check_similarity(matrix: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""A box of 6 x 5 x 10 cm, or another one where noted, in the dialects and with the faults of programs that people use."""
+"""A box of 6 x 5 x 10 cm, or another where noted, in the dialects and with the faults of programs that people use."""
 
 from pathlib import Path
 

@@ -117,6 +117,13 @@ def _is_ear(flat: np.ndarray, left: Sequence[int], i: int) -> bool:
 
 
 def gathered(polygons: Sequence[Sequence[int]]) -> tuple[np.ndarray, np.ndarray]:
-    """Counts (P,) and corners of polygons, as `triangulated` takes them."""
+    """Counts (P,) and corners of polygons, as `triangulated` takes them.
+
+    Raises:
+        FormatError: a corner beyond 64 bits.
+    """
     counts = np.fromiter(map(len, polygons), np.int64, len(polygons))
-    return counts, np.fromiter(chain.from_iterable(polygons), np.int64, int(counts.sum()))
+    try:
+        return counts, np.fromiter(chain.from_iterable(polygons), np.int64, int(counts.sum()))
+    except OverflowError:
+        raise FormatError("a face names a vertex beyond all that there can be: export it again") from None

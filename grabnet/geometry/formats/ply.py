@@ -51,7 +51,7 @@ def read(data: bytes) -> Geometry:
             if missing := [axis for axis in "xyz" if axis not in values]:
                 raise FormatError(f"its vertices have no {', '.join(missing)}")
             vertices = np.stack([values[axis].astype(np.float64) for axis in "xyz"], 1)
-        elif element.name in ("face", "tristrips"):
+        elif element.name in ("face", "tristrips") and element.number:
             name = next((name for name in _CORNERS if f"{name}#" in values), None)
             if name is None:
                 raise FormatError(f"its element {element.name} has no list {_CORNERS[0]}")
@@ -133,11 +133,13 @@ def _lengths(body: bytes, at: int, element: _Element, order: str) -> dict[str, i
     for p in element.properties:
         if p.count is not None:
             kind = np.dtype(order + p.count)
-            lengths[p.name] = int(np.frombuffer(_within(body, at, kind.itemsize, element), kind)[0])
+            _check_within(body, at + kind.itemsize, element)
+            lengths[p.name] = int(np.frombuffer(body, kind, 1, at)[0])
             at += kind.itemsize
             if lengths[p.name] < 0:
                 raise FormatError(f"its element {element.name} has a list of length {lengths[p.name]}")
         at += np.dtype(p.kind).itemsize * lengths.get(p.name, 1)
+        _check_within(body, at, element)
     return lengths
 
 
@@ -149,19 +151,17 @@ def _uneven(body: bytes, at: int, element: _Element, order: str) -> tuple[dict[s
         lengths = _lengths(body, at, element, order)
         key = tuple(lengths.values())
         if key not in rows:
-            _within(body, at, sum(key), element)  # no row longer than the file
             rows[key] = _row(element, lengths, order)
-        values = np.frombuffer(_within(body, at, rows[key].itemsize, element), rows[key])[0]
+        values = np.frombuffer(body, rows[key], 1, at)[0]
         at += rows[key].itemsize
         for name in rows[key].names or ():
             parts.setdefault(name, []).append(values[name])
     return {name: np.concatenate([np.ravel(x) for x in found]) for name, found in parts.items()}, at
 
 
-def _within(body: bytes, at: int, size: int, element: _Element) -> bytes:
-    if at + size > len(body):
+def _check_within(body: bytes, end: int, element: _Element) -> None:
+    if end > len(body):
         raise FormatError(f"it ends before its {element.number} of {element.name}: export it again")
-    return body[at : at + size]
 
 
 def _strips(counts: np.ndarray, corners: np.ndarray) -> list[list[int]]:

@@ -17,8 +17,8 @@ from grabnet.geometry.formats.geometry import FormatError, Geometry
 from grabnet.geometry.formats.text import decoded
 from grabnet.io.files import existing
 
-# Bytes of a file, at most: 2 million faces take less in every format.
-MAX_BYTES = 1 << 30
+# Bytes of a file, at most: 2 million faces take less in nearly every program's files.
+MAX_BYTES = 1 << 29
 
 _READERS: dict[str, Callable[[bytes], Geometry]] = {".obj": obj.read, ".ply": ply.read, ".stl": stl.read}
 _READERS |= {".off": off.read}
@@ -61,7 +61,8 @@ def read_geometry(path: Path) -> Geometry:
             raise UserError(
                 f"{path} does not hold what its extension {suffix} says: it looks like {looks_like}, rename it."
             ) from None
-        reason = error if isinstance(error, FormatError) else "its content is damaged: export it again"
+        reason = str(error) if isinstance(error, FormatError) else "its content is damaged: export it again"
+        reason = "".join(c if c.isprintable() else "?" for c in reason)
         raise UserError(f"{path} is not a readable {suffix} file ({reason}).") from None
     if not len(geometry.vertices):
         raise UserError(f"{path} is empty: it holds no vertices.")
@@ -72,8 +73,10 @@ def _buffer(path: Path, uri: str) -> bytes:
     """Bytes of a file that a glTF refers to; only files in its own folder or below are touched."""
     folder = path.parent.resolve()
     try:
+        if not uri.isprintable():
+            raise ValueError
         target = (folder / unquote(uri)).resolve()
-    except (ValueError, OSError, RuntimeError):  # a NUL, or links in a circle
+    except (ValueError, OSError, RuntimeError):  # a NUL within, or links in a circle
         raise FormatError(f"it refers to {uri[:60]!r}, which is no file name: save it as .glb") from None
     if not target.is_relative_to(folder):
         raise UserError(f"{path} refers to {uri[:200]!r}, outside its own folder: save it as .glb, which holds all.")
@@ -87,13 +90,17 @@ def _buffer(path: Path, uri: str) -> bytes:
 def _bytes(path: Path, name: str) -> bytes:
     """Content of a file; pipes and devices, which may never end, are refused unread."""
     try:
-        with os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb") as file:
-            status = os.fstat(file.fileno())
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        try:
+            status = os.fstat(descriptor)
             if not stat.S_ISREG(status.st_mode):
                 kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or device"
                 raise UserError(f"{name} cannot be read: it is {kind}; name a file.")
             if status.st_size > MAX_BYTES:
                 raise UserError(f"{name} has {status.st_size >> 20:,} MB, above {MAX_BYTES >> 20:,} MB: simplify it.")
-            return file.read()
+            with os.fdopen(descriptor, "rb", closefd=False) as file:
+                return file.read()
+        finally:
+            os.close(descriptor)
     except OSError as error:
         raise UserError(f"{name} cannot be read ({error.strerror}).") from None

@@ -20,17 +20,11 @@ def decoded(data: bytes) -> str:
 
     UTF-16 and UTF-32 are known by their mark, UTF-16 also by its zeros. All else is read as Latin-1, which takes every
     byte: what counts in these formats is ASCII.
-
-    Raises:
-        FormatError: UTF-16 or UTF-32 that is damaged.
     """
     mark, encoding = next(((m, e) for m, e in _MARKS.items() if data.startswith(m)), (b"", "latin-1"))
     if not mark and len(data) > 1 and 0 in data[:2] and any(data[:2]):
         encoding = "utf-16-be" if data[0] == 0 else "utf-16-le"
-    try:
-        text = data[len(mark) :].decode("latin-1" if encoding == "utf-8" else encoding)
-    except UnicodeDecodeError:
-        raise FormatError(f"its {encoding[:6].upper()} text is damaged: save it as UTF-8") from None
+    text = data[len(mark) :].decode("latin-1" if encoding == "utf-8" else encoding, "replace")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 

@@ -35,7 +35,9 @@ def test_faces_in_all_their_ways(face):
     assert faces.tolist() == [[0, 1, 2]]
 
 
-@pytest.mark.parametrize("vertex", ["v 1 0 0 1.0", "v 1 0 0 .5 .5 .5", "v 1 0 0 1 .5 .5 .5", "v 1e0 -0 +0.0", "v\t1 0\t0 #x"])
+@pytest.mark.parametrize(
+    "vertex", ["v 1 0 0 1.0", "v 1 0 0 .5 .5 .5", "v 1 0 0 1 .5 .5 .5", "v 1e0 -0 +0.0", "v\t1 0\t0 #x"]
+)
 def test_vertices_in_all_their_ways(vertex):
     assert read(f"v 0 0 0\n{vertex}\nv 0 1 0\nf 1 2 3".encode()).vertices[1].tolist() == [1, 0, 0]
 
@@ -80,10 +82,10 @@ def test_negative_numbers_count_from_where_they_stand():
         (SQUARE + "f 0 1 2", "face 1 names vertex 0"),
         (SQUARE + "f 1 2 -5", "face 1 names vertex -5, of 4 so far"),
         (SQUARE + "f 1 2 5", "names vertex 4, counted from 0, of 4"),
-        (SQUARE + "f 1 2 99999999999999999999999", "damaged|names"),
+        (SQUARE + "f 1 2 99999999999999999999999", "beyond all that there can be"),
         (SQUARE + "surf 0 1 0 1 1 2 3 4", "the statement 'surf' is not read: export it as polygons"),
     ],
 )
 def test_what_is_wrong_is_said(text, said):
-    with pytest.raises((FormatError, OverflowError), match=said if "9999" not in text else ""):
+    with pytest.raises(FormatError, match=said):
         read(text.encode())

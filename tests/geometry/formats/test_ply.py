@@ -45,7 +45,7 @@ def written(
     return header + b"".join(struct.pack(order + CODES[kind], value) for row in rows for kind, value in row)
 
 
-@settings(deadline=None, max_examples=80)
+@settings(deadline=None, max_examples=40)
 @given(
     form=st.sampled_from(["ascii", "binary_little_endian", "binary_big_endian"]),
     faces=st.lists(st.permutations(range(5)).flatmap(lambda p: st.integers(3, 5).map(lambda n: p[:n])), max_size=5),
@@ -96,7 +96,7 @@ def test_a_binary_body_may_begin_like_a_line_end():
         (written("ascii").replace(b"float y", b"float x"), "two properties of one name"),
         (written("ascii").replace(b"float y", b"float w"), "vertices have no y"),
         (written("ascii").replace(b"vertex_indices", b"corners"), "face has no list vertex_indices"),
-        (written("ascii").replace(b"1.0 ", b"one "), None),
+        (written("ascii").replace(b"\n5 ", b"\nfive "), "words where numbers are due"),
         (written("ascii")[:-6], "ends before its 2 of face"),
         (written("binary_big_endian")[:-1], "ends before its 2 of face"),
         (written("binary_little_endian", count="int8").replace(b"\x04\0\0", b"\xff\0\0"), "list of length -1"),
@@ -105,7 +105,5 @@ def test_a_binary_body_may_begin_like_a_line_end():
     ],
 )
 def test_what_is_wrong_is_said(data, said):
-    if said is None:
-        data, said = written("ascii").replace(b"\n5 ", b"\nfive "), "words where numbers are due"
     with pytest.raises(FormatError, match=said):
         read(data)
