@@ -117,13 +117,18 @@ def _is_ear(flat: np.ndarray, left: Sequence[int], i: int) -> bool:
 
 
 def gathered(polygons: Sequence[Sequence[int]]) -> tuple[np.ndarray, np.ndarray]:
-    """Counts (P,) and corners of polygons, as `triangulated` takes them.
+    """Counts (P,) and corners of polygons, as `triangulated` takes them."""
+    counts = np.fromiter(map(len, polygons), np.int64, len(polygons))
+    return counts, whole_numbers(list(chain.from_iterable(polygons)))
+
+
+def whole_numbers(values: Sequence[int]) -> np.ndarray:
+    """(N,) int64.
 
     Raises:
-        FormatError: a corner beyond 64 bits.
+        FormatError: a number beyond 64 bits.
     """
-    counts = np.fromiter(map(len, polygons), np.int64, len(polygons))
     try:
-        return counts, np.fromiter(chain.from_iterable(polygons), np.int64, int(counts.sum()))
+        return np.array(values, np.int64)
     except OverflowError:
         raise FormatError("a face names a vertex beyond all that there can be: export it again") from None

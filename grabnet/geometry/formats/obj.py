@@ -6,8 +6,8 @@ import re
 
 import numpy as np
 
-from grabnet.geometry.formats.geometry import FormatError, Geometry, gathered, triangulated
-from grabnet.geometry.formats.text import decoded, numbers
+from grabnet.geometry.formats.geometry import FormatError, Geometry, triangulated, whole_numbers
+from grabnet.geometry.formats.text import decoded, floats, integers
 
 _COMMENT = re.compile(r"#[^\n]*")  # taken out first: one that ends in a backslash does not go on
 _CONTINUED = re.compile(r"\\[ \t]*\n")
@@ -27,25 +27,36 @@ def read(data: bytes) -> Geometry:
         text = _COMMENT.sub("", text)
     if "\\" in text:
         text = _CONTINUED.sub(" ", text)
-    vertices: list[list[float]] = []
-    polygons: list[list[int]] = []
+    coordinates: list[str] = []
+    corners: list[int] = []
+    counts: list[int] = []
+    above: list[int] = []  # vertices above each face, from which numbers below 0 count back
     for line in text.split("\n"):
         words = line.split()
         if not words:
             continue
         if words[0] == "v":
-            vertices.append(numbers(words[1:4], float, f"vertex {len(vertices) + 1}"))
             if len(words) < 4:
-                raise FormatError(f"vertex {len(vertices)} has {len(words) - 1} coordinates; a solid needs three")
+                number = len(coordinates) // 3 + 1
+                raise FormatError(f"vertex {number} has {len(words) - 1} coordinates; a solid needs three")
+            coordinates += words[1:4]
         elif words[0] in ("f", "fo"):
-            where = f"face {len(polygons) + 1}"
-            corners = numbers([word.split("/", 1)[0] for word in words[1:]], int, where)
-            # Numbers below 0 count back from the last vertex above the face.
-            polygons.append([c - 1 if c > 0 else c + len(vertices) for c in corners])
-            if 0 in corners or (corners and min(polygons[-1]) < 0):
-                raise FormatError(f"{where} names vertex {min(corners)}, of {len(vertices)} so far: export it again")
+            named = [word.split("/", 1)[0] for word in words[1:]] if "/" in line else words[1:]
+            corners += integers(named, f"face {len(counts) + 1}")
+            counts.append(len(named))
+            above.append(len(coordinates) // 3)
         elif words[0] in _NOT_READ:
             raise FormatError(f"the statement {words[0]!r} is not read: export it as polygons")
-    if not vertices:
+    if not coordinates:
         raise FormatError("no line starts with v: give it its true extension, or export it again")
-    return triangulated(np.array(vertices), *gathered(polygons))
+    vertices = floats(coordinates, "a vertex").reshape(-1, 3)
+    return triangulated(vertices, np.array(counts, np.int64), _from_zero(corners, counts, above))
+
+
+def _from_zero(corners: list[int], counts: list[int], above: list[int]) -> np.ndarray:
+    """(C,) vertex numbers that count from 0."""
+    named, so_far = whole_numbers(corners), np.repeat(np.array(above, np.int64), counts)
+    numbers = np.where(named > 0, named - 1, named + so_far)
+    if len(wrong := np.flatnonzero((named == 0) | (numbers < 0))):
+        raise FormatError(f"a face names vertex {named[wrong[0]]}, of {so_far[wrong[0]]} so far: export it again")
+    return numbers

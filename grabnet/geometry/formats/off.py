@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import re
 
-import numpy as np
-
 from grabnet.geometry.formats.geometry import FormatError, Geometry, gathered, triangulated
-from grabnet.geometry.formats.text import decoded, numbers
+from grabnet.geometry.formats.text import decoded, floats, integers
 
 HEADER = re.compile(r"(ST)?C?N?(4?)(n?)OFF(?![a-z])[ \t]*(BINARY)?", re.IGNORECASE)
 
@@ -32,22 +30,22 @@ def read(data: bytes) -> Geometry:
     lines = [words for line in text.split("\n") if (words := line.split())]
     if not lines or len(lines[0]) < 2 or not all(word.isdecimal() for word in lines[0][:2]):
         raise FormatError("no numbers of vertices and faces follow its header")
-    n_vertices, n_faces = numbers(lines[0][:2], int, "the header")
+    n_vertices, n_faces = integers(lines[0][:2], "the header")
     rows = lines[1:]
     if plain and len(rows) < n_vertices + n_faces:
         return _unbroken(lines[0][3:] + [word for row in rows for word in row], n_vertices, n_faces)
     if len(rows) < n_vertices + n_faces:
         raise FormatError(f"it ends before its {n_vertices} vertices and {n_faces} faces: export it again")
-    vertices = [numbers(row[:3], float, f"vertex {i}") for i, row in enumerate(rows[:n_vertices])]
-    if any(len(vertex) < 3 for vertex in vertices):
+    if any(len(row) < 3 for row in rows[:n_vertices]):
         raise FormatError("a vertex has fewer than three coordinates: export it again")
+    vertices = floats([word for row in rows[:n_vertices] for word in row[:3]], "a vertex").reshape(-1, 3)
     polygons = []
     for i, row in enumerate(rows[n_vertices : n_vertices + n_faces]):
-        size = numbers(row[:1], int, f"face {i}")[0]
+        size = integers(row[:1], f"face {i}")[0]
         if not 0 <= size < len(row):
             raise FormatError(f"face {i} has fewer than its {size} corners: export it again")
-        polygons.append(numbers(row[1 : 1 + size], int, f"face {i}"))
-    return triangulated(np.array(vertices).reshape(-1, 3), *gathered(polygons))
+        polygons.append(integers(row[1 : 1 + size], f"face {i}"))
+    return triangulated(vertices, *gathered(polygons))
 
 
 def _unbroken(words: list[str], n_vertices: int, n_faces: int) -> Geometry:
@@ -55,8 +53,8 @@ def _unbroken(words: list[str], n_vertices: int, n_faces: int) -> Geometry:
     ended = FormatError(f"it ends before its {n_vertices} vertices and {n_faces} faces: export it again")
     if len(words) < 3 * n_vertices:
         raise ended
-    vertices = np.array(numbers(words[: 3 * n_vertices], float, "a vertex")).reshape(-1, 3)
-    corners = numbers(words[3 * n_vertices :], int, "a face")
+    vertices = floats(words[: 3 * n_vertices], "a vertex").reshape(-1, 3)
+    corners = integers(words[3 * n_vertices :], "a face")
     polygons, at = [], 0
     for _ in range(n_faces):
         if at >= len(corners) or not 0 <= corners[at] < len(corners) - at:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from grabnet.geometry.formats.geometry import FormatError, Geometry
-from grabnet.geometry.formats.text import decoded, numbers
+from grabnet.geometry.formats.text import decoded, floats
 
 _HEADER = 84
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -52,12 +52,14 @@ def _binary(data: bytes) -> np.ndarray:
 
 
 def _ascii(data: bytes) -> np.ndarray:
-    lines = [words for line in decoded(data).lower().split("\n") if (words := line.split())]
-    corners = [numbers(words[1:4], float, "a vertex") for words in lines if words[0] == "vertex"]
-    facets = sum(words[0] == "facet" for words in lines)
-    started, ended = (sum(words[0] in names for words in lines) for names in (("solid",), ("endsolid", "end")))
-    if ended < started or any(len(corner) < 3 for corner in corners):
+    lines = [line.strip() for line in decoded(data).lower().split("\n")]
+    corners = [line[6:] for line in lines if line.startswith("vertex")]
+    started, ended, facets = (
+        sum(line.startswith(key) for line in lines) for key in ("solid", ("endsolid", "end solid"), "facet")
+    )
+    values = floats(" ".join(corners).split(), "a vertex")
+    if ended < started or len(values) != 3 * len(corners):
         raise FormatError("it ends within a solid: export it again")
     if len(corners) != 3 * facets:
         raise FormatError(f"its {facets} facets have {len(corners)} corners, not three each: export it as triangles")
-    return np.array(corners)
+    return values

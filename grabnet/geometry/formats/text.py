@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import codecs
 
+import numpy as np
+
 from grabnet.geometry.formats.geometry import FormatError
 
 _MARKS = {  # UTF-32's first: UTF-16's mark begins it
@@ -28,14 +30,35 @@ def decoded(data: bytes) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def numbers(words: list[str], kind: type[float] | type[int], where: str) -> list:
-    """Words as numbers.
+def floats(words: list[str], where: str) -> np.ndarray:
+    """(N,) float64 numbers of words.
 
     Raises:
         FormatError: a word that is none.
     """
     try:
-        return [kind(word) for word in words]
+        return np.array(words, np.float64)
     except ValueError:
-        said = " ".join(words)[:40]
-        raise FormatError(f"{where} has {said!r} where numbers are due: export it again") from None
+        word = next(word for word in words if not _is_number(word, float))
+        raise FormatError(f"{where} has {word[:40]!r} where a number is due: export it again") from None
+
+
+def integers(words: list[str], where: str) -> list[int]:
+    """Words as whole numbers.
+
+    Raises:
+        FormatError: a word that is none.
+    """
+    try:
+        return list(map(int, words))
+    except ValueError:
+        word = next(word for word in words if not _is_number(word, int))
+        raise FormatError(f"{where} has {word[:40]!r} where a whole number is due: export it again") from None
+
+
+def _is_number(word: str, kind: type[float] | type[int]) -> bool:
+    try:
+        kind(word)
+    except ValueError:
+        return False
+    return True

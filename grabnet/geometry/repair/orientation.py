@@ -75,6 +75,8 @@ def wrong_way(vertices: np.ndarray, faces: np.ndarray, by_place: np.ndarray) -> 
     if not asked.any():
         return turned
     chosen = _largest(patches.number, np.where(asked[patches.number], area, 0))
+    if not len(chosen):
+        return turned
     outward = normals[chosen] / area[chosen, None] * np.where(turned[chosen], -1, 1)[:, None]
     free, odd = (
         np.stack([np.bincount(patches.number[chosen], area[chosen] * side, n) for side in seen.T], 1)

@@ -55,7 +55,7 @@ def test_polygons_of_any_size():
         ("OFF\n" + PLAIN.replace("3 0 2 3", "4 0 2 3"), "face 1 has fewer than its 4 corners"),
         ("OFF\n" + PLAIN.replace("3 0 2 3", "3 0 2 9"), "names vertex 9"),
         ("OFF\n" + PLAIN.replace("1 1 0", "1 1"), "fewer than three coordinates"),
-        ("OFF\n" + PLAIN.replace("1 1 0", "1 x 0"), "'1 x 0' where numbers are due"),
+        ("OFF\n" + PLAIN.replace("1 1 0", "1 x 0"), "'x' where a number is due"),
         ("OFF\n999999999999 2 0\n0 0 0\n", "ends before"),
     ],
 )

@@ -53,7 +53,7 @@ def test_several_solids_are_all_read():
         (counted(10**9), "ends before its 1000000000 triangles"),
         (ASCII[: len(ASCII) // 2], "ends within a solid|three each"),
         (ASCII.replace(b"endsolid", b""), "ends within a solid"),
-        (ASCII.replace(b"vertex", b"vertex x", 1), "where numbers are due"),
+        (ASCII.replace(b"vertex", b"vertex x", 1), "where a number is due"),
         (ASCII.replace(b"endloop", b"vertex 0 0 0\nendloop", 1), "12 facets have 37 corners, not three each"),
     ],
 )

@@ -153,6 +153,12 @@ def test_lines_and_points_among_faces_are_passed_over():
     assert len(repairs) == 1 and Mesh(BALL.vertices, found).volume == pytest.approx(BALL.volume, rel=1e-6)
 
 
+def test_faces_without_area_are_not_asked():
+    line = np.array([[0, 0, 0], [0.01, 0, 0], [0.02, 0, 0], [0.03, 0, 0]])
+    faces = np.array([[0, 1, 2], [1, 3, 2], [0, 1, 3]])
+    assert len(mended(line, faces).faces) == 3
+
+
 def test_a_strip_with_a_twist_is_refused():
     n = 60
     angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
