@@ -1,4 +1,4 @@
-"""The one error that a user is meant to read."""
+"""The one error that a user is meant to read, and what is said of any other."""
 
 from __future__ import annotations
 

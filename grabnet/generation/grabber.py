@@ -135,7 +135,7 @@ class Grabber(nn.Module):
         placed = load_object(mesh, scale, up, max_size, min_size, to_object)
         betas = self._betas(betas)
         rest = self.hand.shaped(betas)
-        known, turns = self.generator.conventions, _turns(orientation, min(n, self.n_turns), seed).to(device)
+        known, turns = self.generator.conventions.in_use, _turns(orientation, min(n, self.n_turns), seed).to(device)
         placement = Placement.of(placed, turns, side, known)
         grid = SDFGrid.load_or_build(placed.solid, cache_dir, AtlasConfig(centre=known.centre))
         atlas = SDFAtlas([grid]).to(device)
@@ -147,6 +147,7 @@ class Grabber(nn.Module):
         return Grasps(
             mesh=placed.mesh,
             to_object=placed.to_object,
+            remarks=placed.remarks,
             side=side,
             seed=seed,
             parameters=HandParameters(*(x.cpu() for x in drawn.parameters)),

@@ -17,6 +17,7 @@ from grabnet.contact.contacts import DEFINITIONS, Contacts
 from grabnet.errors import UserError
 from grabnet.generation.formats import FORMATS, MESH_NAMES
 from grabnet.geometry.mesh import Mesh
+from grabnet.geometry.object_mesh import ObjectMesh
 from grabnet.geometry.rotations import matrix_to_axis_angle
 from grabnet.io.files import filling, write_json
 
@@ -60,6 +61,7 @@ class Grasps:
             as the networks saw the object, origin at its centre (`Conventions`).
         vertices: (N, V, 3) hands in the mesh's frame and units. faces: (F, 3), outward.
         contacts: of the hands with the mesh; distances are exact within 1 cm of it.
+        remarks: what was mended of the mesh, and what about it makes grasps doubtful.
     """
 
     mesh: Mesh
@@ -72,6 +74,7 @@ class Grasps:
     vertices: Tensor
     faces: Tensor
     contacts: Contacts
+    remarks: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.vertices)
@@ -102,9 +105,10 @@ class Grasps:
     def summary(self) -> str:
         """The grasps in a line for the screen."""
         contacts = self.contacts
+        remarks = f" (mesh: {'; '.join(self.remarks)})" if self.remarks else ""
         return (
             f"{len(self)} grasps, thumb and a finger touch in {contacts.pinched.float().mean():.0%}, "
-            f"deepest penetration {1000 * contacts.max_penetration.mean():.1f} mm on average"
+            f"deepest penetration {1000 * contacts.max_penetration.mean():.1f} mm on average{remarks}"
         )
 
     def report(self) -> list[dict[str, Any]]:
@@ -146,11 +150,13 @@ class Grasps:
         if unknown := [name for name in formats if name not in FORMATS]:
             raise UserError(f"format is '{unknown[0]}'; it can be any of {', '.join(FORMATS)}.")
         np.savez(folder / "grasps.npz", **self.arrays())
+        placed = ObjectMesh(self.mesh, self.to_object)
         for name in formats:
             (folder / "meshes").mkdir(exist_ok=True)
-            FORMATS[name](folder / "meshes", self.mesh, self.vertices.numpy(), self.faces.numpy())
-        definitions = {"definitions": DEFINITIONS, "contact_distance": self.contacts.contact_distance}
-        write_json(folder / RECORD, {**record, **definitions, "grasps": self.report()})
+            FORMATS[name](folder / "meshes", placed, self.vertices.numpy(), self.faces.numpy())
+        facts = {"remarks": list(self.remarks), "definitions": DEFINITIONS}
+        facts["contact_distance"] = self.contacts.contact_distance
+        write_json(folder / RECORD, {**record, **facts, "grasps": self.report()})
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What grasps.npz holds, as the field's hand models take it (metres, radians, along the axes of the mesh).

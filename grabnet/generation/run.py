@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict
 from pathlib import Path
 
 from grabnet.body.hand import HandModel
+from grabnet.cli.ends import say, told, unexpected
 from grabnet.cli.progress import track
 from grabnet.data.objects import MESH_SUFFIXES
 from grabnet.errors import UserError
@@ -15,6 +15,7 @@ from grabnet.generation.contact_maps import contact_maps
 from grabnet.generation.export import result_folders, write_grasps
 from grabnet.generation.grabber import Grabber
 from grabnet.io.files import existing, sha256
+from grabnet.io.names import originals
 from grabnet.io.provenance import provenance
 from grabnet.visual.pictures import can_render
 
@@ -78,12 +79,10 @@ def run(config: SamplingConfig) -> int:
             contact = contact_maps(grasps, hand, config.contact) if config.contact_maps else None
             write_grasps(folder, grasps, about | record, listed(config.format), sheet, config.page, contact)
             print(f"{file}: {grasps.summary()}; all is in {folder}")
-        except UserError as error:
-            failures.append(str(error))
-        except OSError as error:
-            failures.append(f"{error.filename or folder} cannot be written ({error.strerror}).")
+        except Exception as error:  # nothing that one mesh meets ends the others
+            failures.append(str(told(error) or f"{file}: {unexpected(error)}"))
     for sentence in failures:
-        print(f"error: {sentence}", file=sys.stderr)
+        say(sentence)
     return 1 if failures else 0
 
 
@@ -96,10 +95,12 @@ def _mesh_files(named: list[str]) -> tuple[list[Path], list[str]]:
             path = existing(Path(name).expanduser(), "Mesh")
             inside = [path]
             if path.is_dir():
-                inside = sorted(p for p in path.iterdir() if p.suffix.lower() in MESH_SUFFIXES and p.is_file())
+                inside = [
+                    p for p in originals(path.iterdir(), path) if p.suffix.lower() in MESH_SUFFIXES and p.is_file()
+                ]
                 if not inside:
                     raise UserError(f"The folder {path} holds no mesh ({', '.join(MESH_SUFFIXES)}).")
             files |= {p.resolve(): p for p in inside}
-        except UserError as error:
-            failures.append(str(error))
+        except (UserError, OSError) as error:
+            failures.append(str(told(error)))
     return list(files.values()), failures

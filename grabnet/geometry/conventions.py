@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.nearest import BLOCK, by_neighbourhood
 
-CENTRES = ("mean_vertex", "box")
+CENTRES = ("mean_vertex", "surface", "box")
 # What distances are measured to.
 SHAPES = ("surface", "samples")
 # What a network may see of an object: where it stands, distances of the hand, a basis point set.
@@ -25,8 +25,8 @@ class Conventions:
     """What a network was trained with. The defaults are those of weights that say nothing of it.
 
     Attributes: all but `hand` called as the settings of `data` in a config that decide them.
-        centre: point of an object at the origin of the world: "mean_vertex" of its mesh, or the middle of its bounding
-            "box" (published, ref. 6).
+        centre: point of an object at the origin of the world: "mean_vertex" of its mesh, mean of its "surface" by area,
+            or the middle of its bounding "box" (published, ref. 6).
         distance_to: distances of hand vertices are signed, to the "surface"; or unsigned, to the nearest of "samples"
             (published, ref. 6): surface points in training, vertices in use (`vertices_in_use`).
         basis_to: basis point sets hold unsigned distances to the "surface"; or to the nearest of "samples" (published,
@@ -83,9 +83,20 @@ class Conventions:
                 f"{_as_options(given)}: {remedy}."
             )
 
+    @property
+    def in_use(self) -> Conventions:
+        """Those by which meshes from anywhere are shown.
+
+        Training meshes have faces of about one size, so that their mean vertex is about the mean of the surface; a
+        user's mesh may have most of its vertices in one corner, and is centred at its surface.
+        """
+        return replace(self, centre="surface") if self.centre == "mean_vertex" else self
+
     def centre_of(self, mesh: Mesh) -> np.ndarray:
         """(3,) float32, the point of a mesh, in its own frame, that lies at the origin of the world."""
-        return mesh.centroid if self.centre == "mean_vertex" else mesh.bounds.mean(0, dtype=np.float32)
+        if self.centre == "box":
+            return mesh.bounds.mean(0, dtype=np.float32)
+        return mesh.centroid if self.centre == "mean_vertex" else mesh.surface_centre
 
     def vertices_in_use(self, mesh: Mesh) -> Tensor:
         """(points_in_use, 3) points about the centre of a mesh, in metres.

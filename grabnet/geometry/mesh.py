@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import warnings
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -10,21 +11,27 @@ import numpy as np
 import trimesh
 
 from grabnet.errors import UserError
-from grabnet.geometry.mesh_formats import read_geometry
+from grabnet.geometry.formats.geometry import MAX_FACES
+from grabnet.geometry.formats.reading import read_geometry
+from grabnet.geometry.repair.mending import mended
+from grabnet.geometry.repair.orientation import UndecidedError
 from grabnet.io.files import existing, sha256, write_bytes
 
-MAX_FACES = 2_000_000
+# How many times its size a mesh may lie from its origin: its coordinates have 7 digits.
+MAX_OFFSET = 1000
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """A triangle mesh in its own frame.
 
-    vertices: (V, 3) float32. faces: (F, 3) int32, counter-clockwise seen from outside.
+    vertices: (V, 3) float32. faces: (F, 3) int32, counter-clockwise seen from outside. repairs: what was mended for
+    that, a phrase for each kind.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
+    repairs: tuple[str, ...] = ()
 
     def __post_init__(self):
         for name, dtype in (("vertices", np.float32), ("faces", np.int32)):
@@ -41,6 +48,13 @@ class Mesh:
     def centroid(self) -> np.ndarray:
         """(3,) mean of the vertices: the origin of the frame grasps are learned in (ref. 3)."""
         return self.vertices.mean(0, dtype=np.float64).astype(np.float32)
+
+    @cached_property
+    def surface_centre(self) -> np.ndarray:
+        """(3,) mean of the surface by area: the mean vertex of a mesh of even faces, whatever the faces."""
+        corners = self.triangles.astype(np.float64)
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        return (area @ corners.mean(1) / area.sum()).astype(np.float32)
 
     @property
     def bounds(self) -> np.ndarray:
@@ -107,26 +121,64 @@ class Mesh:
 
 
 def load_mesh(path: str | Path, weld: bool = True) -> Mesh:
+    """Read a mesh as `read_mesh` does, with a warning that says what was mended."""
+    mesh = read_mesh(path, weld)
+    if mesh.repairs:
+        warnings.warn(f"{path} was mended: {'; '.join(mesh.repairs)}.", stacklevel=2)
+    return mesh
+
+
+def read_mesh(path: str | Path, weld: bool = True) -> Mesh:
     """Read an obj, ply, stl, off, glb or gltf file, in the file's own frame and units (see `load_object`).
 
     Scenes are flattened with their transforms. Only geometry is read: no materials, nothing outside the file's folder.
 
     Args:
-        weld: merge exactly equal vertices (STL stores each face's corners anew) and drop those that no face uses, in
-            file order otherwise. Pass False where other data counts on the file's vertex numbers.
+        weld: merge exactly equal vertices (STL stores each face's corners by themselves) and drop those that no face
+            uses, in file order otherwise; mend faces that disagree on which side is inside (`with_sides`). Pass False
+            where other data counts on the file's vertex numbers, or faces are compared.
 
     Raises:
-        UserError: missing, of an unknown or wrong format, unreadable, no faces, not finite, no area, too many faces.
+        UserError: missing, of an unknown or wrong format, unreadable, no faces, not finite, no area, too many faces,
+            too far from its origin, faces that do not tell which side is inside.
     """
     path = existing(path, "Mesh")
     vertices, faces = read_geometry(path)
     _check(path, vertices, faces)
+    check_offset(vertices, faces, path)
     mesh = Mesh(*_welded(vertices, faces)) if weld else Mesh(vertices, faces)
     if not np.linalg.norm(trimesh.triangles.cross(mesh.triangles.astype(np.float64)), axis=1).sum() > 0:
         raise UserError(
             f"{path} has zero area: its {len(faces)} faces are all lines or points; export a solid surface."
         )
-    return mesh
+    return with_sides(mesh, path) if weld else mesh
+
+
+def with_sides(mesh: Mesh, name: str | Path) -> Mesh:
+    """The mesh with faces that agree on which side is inside: double ones dropped, others turned; said in `repairs`.
+
+    Raises:
+        UserError: a surface that does not tell.
+    """
+    try:
+        faces, repairs = mended(mesh.vertices, mesh.faces)
+    except UndecidedError:
+        raise UserError(
+            f"{name} does not tell which side of its faces is inside: make a solid of it, or recalculate its normals."
+        ) from None
+    return replace(mesh, faces=faces, repairs=(*mesh.repairs, *repairs)) if repairs else mesh
+
+
+def check_offset(vertices: np.ndarray, faces: np.ndarray, name: str | Path) -> None:
+    """Raise a `UserError` where faces lie so far from the origin that single precision spoils their shape."""
+    corners = vertices[np.unique(faces)].astype(np.float64)
+    low, high = corners.min(0), corners.max(0)
+    offset, size = np.linalg.norm((low + high) / 2), (high - low).max()
+    if offset > MAX_OFFSET * size > 0:
+        raise UserError(
+            f"{name} lies {offset:.4g} from its origin, {offset / size:,.0f} times its size; more than {MAX_OFFSET:,} "
+            "times leaves too few digits for its shape: move it to the origin."
+        )
 
 
 def save_mesh(path: str | Path, mesh: Mesh) -> None:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from grabnet.errors import UserError
-from grabnet.geometry.mesh import Mesh, load_mesh
+from grabnet.geometry.gaps import widest_gap
+from grabnet.geometry.mesh import Mesh, check_offset, read_mesh, with_sides
 
 # The axis that points up, where a format's specification says so; every other file is taken as z-up.
 FORMAT_UP = {".gltf": "y", ".glb": "y"}
+# Metres between parts from which on they are said to lie apart: a hand about the middle of all hardly reaches one.
+FAR_PARTS = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,10 +26,12 @@ class ObjectMesh:
     Attributes:
         mesh: as in its file.
         to_object: (4, 4) float64 similarity from the mesh's frame and units to metres, z up.
+        remarks: what was mended of it, and what about it makes grasps doubtful.
     """
 
     mesh: Mesh
     to_object: np.ndarray
+    remarks: tuple[str, ...] = ()
 
     @cached_property
     def solid(self) -> Mesh:
@@ -45,7 +50,8 @@ def load_object(
     """An object to grasp, from a mesh or from the file of one.
 
     Args:
-        mesh: the mesh, or an obj, ply, stl, off, glb or gltf file.
+        mesh: the mesh, or an obj, ply, stl, off, glb or gltf file. Faces that disagree on which side is inside are
+            mended in either.
         scale: metres per unit of the mesh: 0.001 for millimetres.
         up: the axis of the mesh that points up, "x", "y" or "z"; when omitted, y for a glTF file as its specification
             has it, else z.
@@ -54,14 +60,29 @@ def load_object(
         to_object: (4, 4) from the mesh's frame and units to metres, z up, in place of scale and up.
 
     Raises:
-        UserError: an unreadable file, an unknown axis, a size out of bounds, or a to_object that is no similarity.
+        UserError: an unreadable file, an unknown axis, a size out of bounds, a to_object that is no similarity, a place
+            too far from the origin, or faces that do not tell which side is inside.
     """
     name = "The mesh" if isinstance(mesh, Mesh) else mesh
     if to_object is None:
         to_object = file_to_object("" if isinstance(mesh, Mesh) else mesh, scale, up)
-    loaded = ObjectMesh(mesh if isinstance(mesh, Mesh) else load_mesh(mesh), _similarity(to_object))
+    to_object = _similarity(to_object)
+    if isinstance(mesh, Mesh):
+        check_offset(mesh.vertices, mesh.faces, name)
+        mesh = with_sides(mesh, name)
+    else:
+        mesh = read_mesh(mesh)
+    corners = mesh.vertices.astype(np.float64) @ to_object[:3, :3].T + to_object[:3, 3]
+    check_offset(corners, mesh.faces, name)
+    loaded = ObjectMesh(mesh, to_object)
+    gap = widest_gap(loaded.solid)
+    apart = (f"parts of it lie {_length(gap)} apart, and hands go to the middle of all",) if gap > FAR_PARTS else ()
     check_size(loaded.solid, name, max_size, min_size)
-    return loaded
+    return replace(loaded, remarks=mesh.repairs + apart)
+
+
+def _length(metres: float) -> str:
+    return f"{metres:,.0f} m" if metres >= 1 else f"{100 * metres:.2g} cm"
 
 
 def _similarity(values: object) -> np.ndarray:

@@ -13,12 +13,15 @@ from grabnet.generation.export import result_folders, write_grasps
 from grabnet.generation.formats import FORMATS
 from grabnet.generation.grasps import Grasps
 from grabnet.geometry.mesh import Mesh
+from grabnet.geometry.object_mesh import load_object
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.io.npz import read_npz
 from grabnet.visual.pictures import can_render
 
 # Millimetres, y up.
 TO_OBJECT = np.array([[0.001, 0, 0, 0], [0, 0, -0.001, 0], [0, 0.001, 0, 0], [0, 0, 0, 1]])
+# From z up to glTF's y up.
+Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
 @pytest.fixture(scope="module", params=["right", "left"])
@@ -76,17 +79,36 @@ def test_every_format_holds_the_same_meshes(folder, grasps):
         scene = trimesh.load(folder / "meshes" / f"grasp_{i:03d}.glb", process=False)
         assert set(scene.graph.nodes_geometry) == {"object", "hand"}
         for name in scene.graph.nodes_geometry:
-            np.testing.assert_array_equal(scene.graph[name][0], np.eye(4))
+            np.testing.assert_allclose(scene.graph[name][0], Y_UP @ TO_OBJECT, atol=1e-12)
         for hand in (ply, scene.geometry["hand"]):
             np.testing.assert_array_equal(hand.vertices.astype(np.float32), grasps.vertices[i])
             np.testing.assert_array_equal(hand.faces, grasps.faces)
         np.testing.assert_array_equal(scene.geometry["object"].vertices.astype(np.float32), grasps.mesh.vertices)
 
 
+@pytest.mark.parametrize(("scale", "up"), [(1.0, "z"), (0.001, "z"), (0.01, "y"), (0.001, "x")])
+def test_glb_is_read_back_at_the_same_place(tmp_path, scale, up):
+    """In metres and y up, as every viewer takes it; the numbers of its vertices are the mesh's own."""
+    solid = trimesh.creation.box((0.06, 0.05, 0.1))
+    mesh = Mesh(solid.vertices / scale + np.array([0.3, 0.2, 0.1]) / scale, solid.faces)
+    placed = load_object(mesh, scale, up)
+    hand = np.random.default_rng(0).random((1, 5, 3)).astype(np.float32) / scale
+    faces = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2]])
+    FORMATS["glb"](tmp_path, placed, hand, faces)
+    both = np.concatenate([mesh.vertices, hand[0]]) @ placed.to_object[:3, :3].T + placed.to_object[:3, 3]
+    back = load_object(tmp_path / "grasp_000.glb", max_size=2)
+    np.testing.assert_allclose(np.sort(back.solid.vertices, 0), np.sort(both, 0), atol=1e-6)
+    shown = trimesh.load_scene(tmp_path / "grasp_000.glb")
+    np.testing.assert_allclose(
+        shown.bounds, [(both @ Y_UP[:3, :3].T).min(0), (both @ Y_UP[:3, :3].T).max(0)], atol=1e-6
+    )
+
+
 def test_json_holds_record_and_grasps(folder, grasps):
     text = json.loads((folder / "grasps.json").read_text(encoding="utf-8"))
     assert text["grasps"] == grasps.report()
     assert text["name"] == "a bäll"
+    assert text["remarks"] == []
 
 
 def test_a_second_call_replaces_results_and_nothing_else(grasps, tmp_path):

@@ -270,3 +270,16 @@ def test_shipped_weights_fit_the_box():
         record = read_provenance(file)
         assert record["config"]["data"]["root"] == "data/open" and record["metrics"]["test/test/v2v_mae"] < 18.4
         assert not Path(record["config"]["run_dir"]).is_absolute()
+
+
+def test_grasps_do_not_depend_on_where_the_vertices_crowd(grabber, cache_dir):
+    """One corner of the same box cut up finely: the mean vertex moves by centimetres, the grasps stay."""
+    even = trimesh.creation.box((0.05, 0.06, 0.1)).subdivide().subdivide()
+    uneven = even
+    for _ in range(3):
+        uneven = uneven.subdivide(np.flatnonzero((uneven.triangles_center > [0, 0, 0.02]).all(1)))
+    meshes = [Mesh(solid.vertices, solid.faces) for solid in (even, uneven)]
+    assert np.linalg.norm(meshes[0].centroid - meshes[1].centroid) > 0.02
+    one, other = (grabber(mesh, 3, 0, cache_dir=cache_dir) for mesh in meshes)
+    torch.testing.assert_close(one.object_transform, other.object_transform, atol=1e-6, rtol=0)
+    torch.testing.assert_close(one.vertices, other.vertices, atol=5e-4, rtol=0)

@@ -14,11 +14,13 @@ from omegaconf import OmegaConf
 from grabnet.cli.entry import CONFIGS
 from grabnet.errors import UserError
 from grabnet.generation.config import SamplingConfig
+from grabnet.generation.export import write_grasps
 from grabnet.generation.run import run as sample
 from grabnet.io.files import sha256
 from grabnet.io.npz import read_npz
 from grabnet.models.weights import save_network
 
+INPUTS = Path(__file__).parents[1] / "geometry" / "inputs"
 SCRIPT = CONFIGS.parent / "scripts" / "sample.py"
 
 
@@ -120,6 +122,41 @@ def test_bad_meshes_are_told_and_the_others_run(call, folder, tmp_path, capsys):
     for name in [*bad, "gone.ply"]:
         assert sum(name in sentence.split(";")[0] for sentence in told) == 1, name
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["ball", "d"]
+
+
+def test_what_is_mended_is_said_and_gives_the_grasps_of_the_sound_mesh(call, tmp_path, capsys):
+    assert call(mesh=[str(INPUTS / f"{name}.obj") for name in ("plain", "half_flipped", "double_sided", "utf16")]) == 0
+    sound = results(tmp_path / "out", "plain")
+    assert sound["remarks"] == [] and sound["grasps"][0]["max_penetration_mm"] > 0
+    for name, said in (
+        ("half_flipped", ["turned 6 of 12 faces, which looked the wrong way"]),
+        ("double_sided", ["dropped 12 of 24 faces, which were there twice"]),
+        ("utf16", []),
+    ):
+        found = results(tmp_path / "out", name)
+        assert found["grasps"] == sound["grasps"] and found["remarks"] == said
+    assert "on average (mesh: turned 6 of 12 faces, which looked the wrong way); all is in" in capsys.readouterr().out
+
+
+def test_an_unexpected_error_in_one_mesh_does_not_end_the_others(call, folder, tmp_path, capsys, monkeypatch):
+    def broken(folder, grasps, record, *_):
+        if record["name"] == "ball.obj":
+            raise ValueError("of no\nuse")
+        write_grasps(folder, grasps, record, *_)
+
+    monkeypatch.setattr("grabnet.generation.run.write_grasps", broken)
+    assert call(mesh=[str(folder / "ball.obj"), str(folder / "d.stl")]) == 1
+    (told,) = capsys.readouterr().err.splitlines()
+    assert "ball.obj: Unexpected ValueError: of no use" in told
+    assert "fault of grabnet; report it" in told
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["d"]
+
+
+def test_names_that_no_disk_takes_do_not_end_the_others(call, folder, tmp_path, capsys):
+    assert call(mesh=[str(folder / ("x" * 300)), str(folder / "d.stl")]) == 1
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and "cannot be read" in told
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["d"]
 
 
 def test_a_folder_without_meshes_is_told(call, tmp_path, capsys):

@@ -29,6 +29,18 @@ def test_the_centre_is_the_mean_vertex_or_the_middle_of_the_box(mesh):
     assert np.linalg.norm(Conventions().centre_of(mesh) - Conventions("box").centre_of(mesh)) > 0.002
 
 
+def test_in_use_the_centre_does_not_depend_on_where_the_vertices_crowd(mesh):
+    """About the mean vertex of a mesh of even faces, however uneven the one given is."""
+    even = trimesh.creation.box((0.05, 0.06, 0.1))
+    for _ in range(4):
+        even = even.subdivide()
+    even = Mesh(even.vertices + np.array([0.3, -0.2, 0.1]), even.faces)
+    known = Conventions().in_use
+    assert known.centre == "surface" and PUBLISHED.in_use == PUBLISHED
+    np.testing.assert_allclose(known.centre_of(mesh), Conventions().centre_of(even), atol=1e-6)
+    np.testing.assert_allclose(known.centre_of(even), Conventions().centre_of(even), atol=1e-6)
+
+
 def test_subdividing_keeps_the_surface_and_halves_every_side(mesh):
     fine = mesh.subdivided()
     assert len(fine.faces) == 4 * len(mesh.faces)
@@ -82,7 +94,7 @@ def test_what_it_does_not_see_does_not_matter():
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"centre": "top"}, "data.centre is 'top'; it can be mean_vertex, box"),
+        ({"centre": "top"}, "data.centre is 'top'; it can be mean_vertex, surface, box"),
         ({"basis_to": "points"}, "data.basis_to is 'points'; it can be surface, samples"),
         ({"points_in_use": 0}, "data.points_in_use is 0; it must be at least 1"),
     ],

@@ -4,7 +4,7 @@ import torch
 import trimesh
 
 from grabnet.errors import UserError
-from grabnet.geometry.mesh import load_mesh
+from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.geometry.object_mesh import check_size, file_to_object, load_object
 from tests.geometry.shapes import box
 
@@ -110,3 +110,38 @@ def test_a_rotation_times_a_scale_with_a_shift_is_taken(scale):
         np.testing.assert_allclose(loaded.to_object, matrix, rtol=1e-6)
         centre = loaded.mesh.vertices.mean(0) @ matrix[:3, :3].T + matrix[:3, 3]
         np.testing.assert_allclose(loaded.solid.vertices.mean(0), centre, atol=1e-6)
+
+
+@pytest.mark.parametrize("offset", [(150, 0, 0), (0, 0, -1e5), (1e9, 1e9, 1e9), (1e5, 3e4, 0)])
+def test_a_mesh_far_from_its_origin_is_refused(tmp_path, offset):
+    """Along one axis, too; as a file, as a mesh, and where to_object carries it away."""
+    solid = trimesh.creation.box((0.06, 0.05, 0.1))
+    corners = solid.vertices + np.array(offset)
+    lines = [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in corners] + [f"f {a} {b} {c}" for a, b, c in solid.faces + 1]
+    (tmp_path / "far.obj").write_text("\n".join(lines))
+    away = np.eye(4)
+    away[:3, 3] = offset
+    for given, matrix in ((tmp_path / "far.obj", None), (box((0.06, 0.05, 0.1)), away)):
+        with pytest.raises(UserError, match=r"times its size; more than 1,000 times .*: move it to the origin"):
+            load_object(given, to_object=matrix)
+    near = Mesh(solid.vertices + 50, solid.faces)  # 866 times its size
+    assert load_object(near).solid.volume == pytest.approx(3e-4, rel=1e-3)
+
+
+@pytest.mark.parametrize("direction", [(1, 0, 0), (0, 1, 1), (1, -2, 3)])
+@pytest.mark.parametrize(("gap", "said"), [(0.04, None), (0.25, "25 cm"), (1000, "1,000 m")])
+def test_parts_far_apart_are_said(direction, gap, said):
+    way = np.array(direction) / np.linalg.norm(direction)
+    one, other = (trimesh.creation.icosphere(3, 0.02).apply_translation(s * (gap / 2 + 0.02) * way) for s in (-1, 1))
+    parts = trimesh.util.concatenate([one, other])
+    remarks = load_object(Mesh(parts.vertices, parts.faces), max_size=2000).remarks
+    assert len(remarks) == (said is not None)
+    assert said is None or remarks[0].startswith(f"parts of it lie {said} apart")
+
+
+def test_a_mesh_is_mended_like_its_file():
+    solid = box((0.06, 0.05, 0.1))
+    twice = Mesh(solid.vertices, np.concatenate([solid.faces, solid.faces[:, ::-1]]))
+    placed = load_object(twice)
+    assert placed.remarks == ("dropped 12 of 24 faces, which were there twice",)
+    assert placed.solid.volume == pytest.approx(3e-4, rel=1e-5)

@@ -24,6 +24,7 @@ from grabnet.evaluation.scene import GraspScene
 from grabnet.geometry.mesh import Mesh
 from grabnet.io.files import replacing, write_bytes
 from grabnet.visual.pictures import OBJECT, SKIN
+from grabnet.visual.scenes import glb
 
 
 class ContactMaps(PerGrasp):
@@ -97,15 +98,14 @@ def write_maps(folder: Path, name: str, mesh: Mesh, hands: Hands, maps: dict[str
     solid.vertex_attributes["contact"] = share
     write_bytes(folder / f"{name}.ply", solid.export(file_type="ply"))
     for i in range(min(scenes, len(hands))):
-        scene = trimesh.Scene()
+        parts = {}
         for node, vertices, faces, base in (
             ("object", mesh.vertices, mesh.faces, OBJECT),
             ("hand", hands.vertices[i], hands.faces, SKIN),
         ):
-            part = _coloured(vertices, faces, blended(base, maps[node][i] > 0))
-            part.vertex_attributes["_contact"] = maps[node][i].astype(np.float32)
-            scene.add_geometry(part, node_name=node, geom_name=node)
-        write_bytes(folder / f"{name}_{i:03d}.glb", scene.export(file_type="glb"))
+            parts[node] = _coloured(vertices, faces, blended(base, maps[node][i] > 0))
+            parts[node].vertex_attributes["_contact"] = maps[node][i].astype(np.float32)
+        write_bytes(folder / f"{name}_{i:03d}.glb", glb(parts, np.eye(4)))
 
 
 def _coloured(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray) -> trimesh.Trimesh:

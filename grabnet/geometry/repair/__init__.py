@@ -1,0 +1,1 @@
+"""Mending surfaces whose faces do not say which side is inside."""
