@@ -11,7 +11,10 @@ from grabnet.contact.rules import ContactRules
 from grabnet.errors import UserError
 from grabnet.generation.formats import FORMATS
 from grabnet.generation.grabber import ORIENTATIONS, SIDES
+from grabnet.generation.ranking import RankingConfig
+from grabnet.generation.scoring import ScoringConfig
 from grabnet.geometry.object_mesh import file_to_object
+from grabnet.grasping.optimiser import OptimiserConfig
 
 
 @dataclass(frozen=True)
@@ -42,14 +45,19 @@ class SamplingConfig:
     contact_maps: bool
     sheet: int
     page: int
+    optimise: int
+    candidates: int
     batch_size: int
     n_turns: int
     device: str
     cache_dir: str | None
     contact: ContactRules = field(default_factory=ContactRules)
+    optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
+    scoring: ScoringConfig = field(default_factory=ScoringConfig)
+    ranking: RankingConfig = field(default_factory=RankingConfig)
 
     def __post_init__(self):
-        at_least(self, n=1, seed=0, batch_size=1, n_turns=1, sheet=0, page=0)
+        at_least(self, n=1, seed=0, optimise=0, candidates=1, batch_size=1, n_turns=1, sheet=0, page=0)
         one_of(self, hand=SIDES, orientation=ORIENTATIONS)
         file_to_object("", self.scale, self.up)  # refuses a wrong scale or axis
         if wrong := [b for b in self.betas or [] if not isinstance(b, float | int)]:

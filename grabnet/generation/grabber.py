@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -16,14 +16,20 @@ from grabnet.body.hand import HandModel, HandParameters
 from grabnet.cli.checks import at_least, one_of, positive
 from grabnet.contact.contacts import CONTACT_DISTANCE, Contacts
 from grabnet.errors import UserError
+from grabnet.generation.candidates import Candidates, draw
 from grabnet.generation.grasps import Grasps
 from grabnet.generation.placement import Placement
+from grabnet.generation.ranking import Ranked, RankingConfig, choose, pool_sizes
+from grabnet.generation.scoring import ScoringConfig, judge
 from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.object_mesh import load_object
+from grabnet.geometry.placed import PlacedObjects
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.rotations import about_z, quaternion_to_matrix
 from grabnet.geometry.sdf_grid import AtlasConfig, SDFGrid
+from grabnet.grasping.grasp_hand import GraspHand
+from grabnet.grasping.optimiser import GraspOptimiser, OptimiserConfig
 from grabnet.models.generator import GraspGenerator
 from grabnet.models.trained import find_model, load_model
 
@@ -43,18 +49,39 @@ class Grabber(nn.Module):
         hand: right hand model, the one the generator was trained with.
         batch_size: hands posed at once. The last batch is filled up, so that no result depends on how many are made.
         n_turns: ways the object is turned before the hand; grasps take them in rotation. Each costs an encoding of the
-            object, which takes longer than the grasp itself.
+            object, which takes longer than drawing the grasp itself.
+        optimise: iterations by which each hand is optimised against the object; 0 leaves it as it is drawn.
+        candidates: hands drawn for each grasp; the best ones that differ are kept (`ranking.choose`). 1 keeps all.
+        optimiser: how hands are optimised; its `iterations` give way to `optimise`.
+        scoring: what makes a candidate better than another.
+        ranking: how candidates are chosen.
 
     Attributes:
         weights: files of the generator's networks, by kind, where it was loaded from files.
     """
 
-    def __init__(self, generator: GraspGenerator, hand: HandModel, batch_size: int = 256, n_turns: int = 128):
+    def __init__(
+        self,
+        generator: GraspGenerator,
+        hand: HandModel,
+        batch_size: int = 256,
+        n_turns: int = 128,
+        optimise: int = 60,
+        candidates: int = 4,
+        optimiser: OptimiserConfig = OptimiserConfig(),  # noqa: B008, frozen
+        scoring: ScoringConfig = ScoringConfig(),  # noqa: B008, frozen
+        ranking: RankingConfig = RankingConfig(),  # noqa: B008, frozen
+    ):
         super().__init__()
         self.generator, self.hand = generator.eval(), hand
         self.batch_size = batch_size
         self.n_turns = n_turns
-        at_least(self, batch_size=1, n_turns=1)
+        self.optimise = optimise
+        self.candidates = candidates
+        at_least(self, batch_size=1, n_turns=1, optimise=0, candidates=1)
+        self.optimiser = replace(optimiser, iterations=optimise)
+        self.scoring = scoring
+        self.ranking = ranking
         self.weights: dict[str, Path] = {}
         self.register_buffer("finger", Anatomy.of(hand).finger, persistent=False)
 
@@ -110,7 +137,8 @@ class Grabber(nn.Module):
         Args:
             mesh: the object, open or closed, or a file of one.
             n: number of grasps.
-            seed: grasp i of a seed is the same for every n.
+            seed: grasp i of a seed is the same for every n: it is chosen from candidates whose number depends on i, not on
+                n (`ranking.pool_sizes`).
             side: "left" grasps the mirrored object with the right-hand networks and mirrors the result back.
             orientation: how the object stands before the hand: "upright", turned about its vertical from grasp to
                 grasp, in golden angles from a random one; "fixed", as in its file; "random", turned anyhow.
@@ -134,26 +162,29 @@ class Grabber(nn.Module):
         placed = load_object(mesh, scale, up, max_size, min_size, to_object)
         betas = self._betas(betas)
         rest = self.hand.shaped(betas)
-        known, turns = self.generator.conventions, _turns(orientation, min(n, self.n_turns), seed).to(device)
+        known, pools = self.generator.conventions, pool_sizes(n, self.candidates, self.batch_size)
+        n_drawn = int(pools[-1]) if self.candidates > 1 else n
+        turns = _turns(orientation, min(n_drawn, self.n_turns), seed).to(device)
         placement = Placement.of(placed, turns, side, known)
         grid = SDFGrid.load_or_build(placed.solid, cache_dir, AtlasConfig(centre=known.centre))
-        atlas = SDFAtlas([grid]).to(device)
-        drawn = self._drawn(atlas, placement, n, seed, rest)
-        _measure(MeshQuery(placed.solid, device), drawn.in_object_frame, drawn.distances)
-        contacts = Contacts(
-            distances=drawn.distances.cpu(), finger=self.finger.cpu(), contact_distance=contact_distance
-        )
+        objects = placement.objects(SDFAtlas([grid]).to(device))
+        held = GraspHand(self.hand, Anatomy.of(self.hand), betas)
+        kept, ranked = self._kept(objects, held, pools, seed, rest)
+        parameters, vertices, distances = self._to_mesh(placement, objects, kept, rest)
+        _measure(MeshQuery(placed.solid, device), placement.to_object_frame(vertices), distances)
+        contacts = Contacts(distances=distances.cpu(), finger=self.finger.cpu(), contact_distance=contact_distance)
         return Grasps(
             mesh=placed.mesh,
             to_object=placed.to_object,
             side=side,
             seed=seed,
-            parameters=HandParameters(*(x.cpu() for x in drawn.parameters)),
+            parameters=HandParameters(*(x.cpu() for x in parameters)),
             betas=betas.expand(n, -1).cpu(),
-            object_transform=drawn.transforms.cpu(),
-            vertices=(drawn.vertices / placement.scale).cpu(),
+            object_transform=placement.transforms(kept.ways).cpu(),
+            vertices=(vertices / placement.scale).cpu(),
             faces=(self.hand.faces if side == "right" else self.hand.faces.flip(1)).cpu(),
             contacts=contacts,
+            ranked=ranked,
         )
 
     def _betas(self, betas: Tensor | Sequence[float] | None) -> Tensor:
@@ -165,46 +196,47 @@ class Grabber(nn.Module):
             raise UserError(f"betas has {betas.numel()} values; this hand model has {most}.")
         return betas
 
-    def _drawn(self, atlas: SDFAtlas, placement: Placement, n: int, seed: int, rest: Tensor) -> _Drawn:
-        """n hands. All is computed in full batches: sums of products of fewer rows may round differently."""
-        n_filled = -(-n // self.batch_size) * self.batch_size
-        noise = _noise(n_filled, self.generator.noise_dim, seed).to(rest.device)
-        objects = placement.objects(atlas)
-        codes = self.generator.encode(objects)
+    def _kept(
+        self, objects: PlacedObjects, held: GraspHand, pools: Tensor, seed: int, rest: Tensor
+    ) -> tuple[Candidates, Ranked | None]:
+        """A hand of each of the pools, in the right-hand world: the best ones where there are several for each."""
+        optimiser = GraspOptimiser(held, self.optimiser) if self.optimise else None
+        drawn, scores, keypoints = [], [], []
+        for batch in draw(self.generator, objects, int(pools[-1]), self.batch_size, seed, rest, optimiser):
+            drawn.append(batch)
+            if self.candidates > 1:
+                judged = judge(held, self.hand, batch.hands, rest, objects.select(batch.ways), self.scoring)
+                scores.append(judged.parts)
+                keypoints.append(judged.keypoints)
+        all_drawn = Candidates.cat(drawn)
+        if self.candidates == 1:
+            return all_drawn.select(slice(len(pools))), None
+        parts = {name: torch.cat([score[name] for score in scores]).cpu() for name in scores[0]}
+        kept = choose(sum(parts.values()), torch.cat(keypoints).cpu(), pools, self.ranking)
+        ranked = Ranked(kept, {name: values[kept.index] for name, values in parts.items()})
+        return all_drawn.select(kept.index.to(rest.device)), ranked
+
+    def _to_mesh(
+        self, placement: Placement, objects: PlacedObjects, kept: Candidates, rest: Tensor
+    ) -> tuple[HandParameters, Tensor, Tensor]:
+        """Parameters and vertices (n, V, 3) as `Placement.hands_to_mesh` gives them, and distances (n, V) to the object
+        by the atlas. Full batches again, so that no grasp depends on how many there are."""
+        n = len(kept.ways)
+        rows = torch.arange(-(-n // self.batch_size) * self.batch_size, device=rest.device) % n
         batches = []
-        for z, ways in zip(noise.split(self.batch_size), placement.ways(n_filled).split(self.batch_size), strict=True):
-            chosen = objects.select(ways)
-            hands = self.generator.sample(codes[ways], chosen, z, rest)
-            distances = chosen.signed_distances(self.hand(hands, rest).vertices)
+        for row in rows.split(self.batch_size):
+            hands, ways = kept.select(row)
+            distances = objects.select(ways).signed_distances(self.hand(hands, rest).vertices)
             parameters, vertices = placement.hands_to_mesh(hands, ways, self.hand, rest)
-            in_object_frame = placement.to_object_frame(vertices)
-            batches.append((*parameters, vertices, in_object_frame, distances, placement.transforms(ways)))
-        *parameters, vertices, in_object_frame, distances, transforms = (
-            torch.cat(parts)[:n] for parts in zip(*batches, strict=True)
-        )
-        return _Drawn(HandParameters(*parameters), vertices, in_object_frame, distances, transforms)
-
-
-class _Drawn(NamedTuple):
-    """N hands: parameters and vertices (N, V, 3) as `Placement.hands_to_mesh` gives them, the vertices in the object
-    frame, their distances (N, V) to the object by the atlas, and transforms (N, 4, 4) from mesh to world."""
-
-    parameters: HandParameters
-    vertices: Tensor
-    in_object_frame: Tensor
-    distances: Tensor
-    transforms: Tensor
+            batches.append((*parameters, vertices, distances))
+        *parameters, vertices, distances = (torch.cat(parts)[:n] for parts in zip(*batches, strict=True))
+        return HandParameters(*parameters), vertices, distances
 
 
 def _measure(query: MeshQuery, vertices: Tensor, distances: Tensor) -> None:
     """Replace the atlas's distances (N, V) of vertices (N, V, 3) by exact ones, wherever they are near the surface."""
     near = distances < _EXACT_WITHIN
     distances[near] = query.signed_distance(vertices[near])
-
-
-def _noise(n: int, dim: int, seed: int) -> Tensor:
-    """(n, dim) standard normal; row i depends on the seed and i alone."""
-    return torch.from_numpy(np.random.default_rng([seed, 0]).standard_normal((n, dim), np.float32))
 
 
 def _turns(orientation: str, n: int, seed: int) -> Tensor:

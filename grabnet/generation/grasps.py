@@ -15,6 +15,7 @@ from grabnet.body.hand import HandParameters
 from grabnet.contact.contacts import DEFINITIONS, Contacts
 from grabnet.errors import UserError
 from grabnet.generation.formats import FORMATS
+from grabnet.generation.ranking import Ranked
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.rotations import matrix_to_axis_angle
 from grabnet.io.files import filling, write_json
@@ -39,6 +40,7 @@ class Grasps:
             as the networks saw the object, origin at its centre (`Conventions`).
         vertices: (N, V, 3) hands in the mesh's frame and units. faces: (F, 3), outward.
         contacts: of the hands with the mesh; distances are exact within 1 cm of it.
+        ranked: why these were kept; None where they were not chosen from more.
     """
 
     mesh: Mesh
@@ -51,6 +53,7 @@ class Grasps:
     vertices: Tensor
     faces: Tensor
     contacts: Contacts
+    ranked: Ranked | None = None
 
     def __len__(self) -> int:
         return len(self.vertices)
@@ -65,6 +68,7 @@ class Grasps:
             self,
             parameters=self.parameters.select(slice(n)),
             contacts=replace(self.contacts, distances=self.contacts.distances[:n]),
+            ranked=self.ranked and self.ranked.first(n),
             **{name: getattr(self, name)[:n] for name in per_grasp},
         )
 
@@ -87,7 +91,8 @@ class Grasps:
         )
 
     def report(self) -> list[dict[str, Any]]:
-        """One record per grasp, ready for JSON: penetration in mm, contact vertices by finger, index and seed."""
+        """One record per grasp, ready for JSON: penetration in mm, contact vertices by finger, index and seed; where it
+        was chosen from several candidates, by what score."""
         contacts = self.contacts
         rows = zip(
             contacts.max_penetration.tolist(),
@@ -95,6 +100,7 @@ class Grasps:
             contacts.contact_vertices.tolist(),
             strict=True,
         )
+        ranked = self.ranked.report() if self.ranked else [{}] * len(self)
         return [
             {
                 "index": i,
@@ -102,6 +108,7 @@ class Grasps:
                 "max_penetration_mm": round(deepest * 1000, 3),
                 "mean_penetration_mm": round(mean * 1000, 3),
                 "contact_vertices": dict(zip((*FINGERS, "palm"), counts, strict=True)),
+                **ranked[i],
             }
             for i, (deepest, mean, counts) in enumerate(rows)
         ]

@@ -38,6 +38,11 @@ def run(config: SamplingConfig) -> int:
         config.runs,
         batch_size=config.batch_size,
         n_turns=config.n_turns,
+        optimise=config.optimise,
+        candidates=config.candidates,
+        optimiser=config.optimiser,
+        scoring=config.scoring,
+        ranking=config.ranking,
     )
     most = hand.shapedirs.shape[-1]
     if len(config.betas or []) > most:
