@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from grabnet.body.hand import HandModel, HandParameters
+from grabnet.body.hand import HandParameters
 from grabnet.geometry.placed import PlacedObjects
 from grabnet.grasping.grasp_hand import GraspHand
 from grabnet.grasping.optimiser import GraspOptimiser
@@ -39,7 +39,6 @@ def draw(
     n: int,
     batch_size: int,
     seed: int,
-    hand: HandModel,
     rest: Tensor,
     optimiser: GraspOptimiser | None,
 ) -> Iterator[Candidates]:
@@ -54,7 +53,6 @@ def draw(
         n: candidates, at least.
         batch_size: hands at once.
         seed: of the random numbers.
-        hand: the generator's.
         rest: (V, 3) rest vertices, metres.
         optimiser: of hands of this shape; None to leave them as they are drawn.
     """

@@ -12,7 +12,6 @@ from grabnet.errors import UserError
 from grabnet.generation.formats import FORMATS
 from grabnet.generation.grabber import ORIENTATIONS, SIDES
 from grabnet.generation.ranking import RankingConfig
-from grabnet.generation.scoring import ScoringConfig
 from grabnet.geometry.object_mesh import file_to_object
 from grabnet.grasping.optimiser import OptimiserConfig
 
@@ -53,7 +52,6 @@ class SamplingConfig:
     cache_dir: str | None
     contact: ContactRules = field(default_factory=ContactRules)
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
-    scoring: ScoringConfig = field(default_factory=ScoringConfig)
     ranking: RankingConfig = field(default_factory=RankingConfig)
 
     def __post_init__(self):

@@ -20,7 +20,7 @@ from grabnet.generation.candidates import Candidates, draw
 from grabnet.generation.grasps import Grasps
 from grabnet.generation.placement import Placement
 from grabnet.generation.ranking import Ranked, RankingConfig, choose, pool_sizes
-from grabnet.generation.scoring import ScoringConfig, judge
+from grabnet.generation.scoring import judge
 from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.object_mesh import load_object
@@ -53,8 +53,7 @@ class Grabber(nn.Module):
         optimise: iterations by which each hand is optimised against the object; 0 leaves it as it is drawn.
         candidates: hands drawn for each grasp; the best ones that differ are kept (`ranking.choose`). 1 keeps all.
         optimiser: how hands are optimised; its `iterations` give way to `optimise`.
-        scoring: what makes a candidate better than another.
-        ranking: how candidates are chosen.
+        ranking: what makes a candidate better than another, and how they are chosen.
 
     Attributes:
         weights: files of the generator's networks, by kind, where it was loaded from files.
@@ -69,7 +68,6 @@ class Grabber(nn.Module):
         optimise: int = 60,
         candidates: int = 4,
         optimiser: OptimiserConfig = OptimiserConfig(),  # noqa: B008, frozen
-        scoring: ScoringConfig = ScoringConfig(),  # noqa: B008, frozen
         ranking: RankingConfig = RankingConfig(),  # noqa: B008, frozen
     ):
         super().__init__()
@@ -80,7 +78,6 @@ class Grabber(nn.Module):
         self.candidates = candidates
         at_least(self, batch_size=1, n_turns=1, optimise=0, candidates=1)
         self.optimiser = replace(optimiser, iterations=optimise)
-        self.scoring = scoring
         self.ranking = ranking
         self.weights: dict[str, Path] = {}
         self.register_buffer("finger", Anatomy.of(hand).finger, persistent=False)
@@ -205,7 +202,7 @@ class Grabber(nn.Module):
         for batch in draw(self.generator, objects, int(pools[-1]), self.batch_size, seed, rest, optimiser):
             drawn.append(batch)
             if self.candidates > 1:
-                judged = judge(held, self.hand, batch.hands, rest, objects.select(batch.ways), self.scoring)
+                judged = judge(held, self.hand, batch.hands, rest, objects.select(batch.ways), self.ranking)
                 scores.append(judged.parts)
                 keypoints.append(judged.keypoints)
         all_drawn = Candidates.cat(drawn)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import torch
@@ -25,9 +25,19 @@ class RankingConfig:
     variety: float = 10.0
     likeness: float = 0.02
     distinct: float = 0.005
+    depth: float = 1.0
+    depth_free: float = 1.0
+    through: float = 2.0
+    through_free: float = 2.0
+    bone: float = 2.0
+    bone_share: float = 0.45
+    crossing: float = 1.0
+    unheld: float = 20.0
+    force: float = 20.0
+    finger: float = 0.8
 
     def __post_init__(self):
-        at_least(self, "ranking.", variety=0, distinct=0)
+        at_least(self, "ranking.", **{f.name: 0 for f in fields(self)})
         positive(self, "likeness")
 
 

@@ -41,7 +41,6 @@ def run(config: SamplingConfig) -> int:
         optimise=config.optimise,
         candidates=config.candidates,
         optimiser=config.optimiser,
-        scoring=config.scoring,
         ranking=config.ranking,
     )
     most = hand.shapedirs.shape[-1]
