@@ -22,6 +22,8 @@ class DescentConfig:
     rotation_rate: float = 0.03  # radians
     angle_rate: float = 0.03  # radians
     final_rate: float = 0.03  # of the rates, reached by a cosine
+    momentum: float = 0.9
+    memory: float = 0.98
     softness: tuple[float, float] = (6.0, 1.5)  # mm, over which a pad's contact is spread, at start and end
     firmness: tuple[float, float] = (0.35, 1.45)  # factor on all overlap with the object, at start and end
 
@@ -36,7 +38,7 @@ def descend(start: GraspPose, energy: Energy, limits: Tensor, config: DescentCon
     turn = torch.zeros_like(start.wrist).requires_grad_()
     rates = (config.wrist_rate, config.rotation_rate, config.angle_rate)
     groups = [{"params": [x], "lr": rate} for x, rate in zip((wrist, turn, angles), rates, strict=True)]
-    adam = torch.optim.Adam(groups, betas=(0.9, 0.98))
+    adam = torch.optim.Adam(groups, betas=(config.momentum, config.memory))
 
     def share_of_rate(iteration: int) -> float:
         falling = (1 + math.cos(math.pi * iteration / config.iterations)) / 2
@@ -50,7 +52,7 @@ def descend(start: GraspPose, energy: Energy, limits: Tensor, config: DescentCon
     with torch.enable_grad():
         for iteration in range(config.iterations):
             done = iteration / config.iterations
-            softness, firmness = (a + (b - a) * done for a, b in (config.softness, config.firmness))
+            softness, firmness = (a * (b / a) ** done for a, b in (config.softness, config.firmness))
             adam.zero_grad()
             energy(pose(), softness, firmness, iteration).sum().backward()
             adam.step()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from grabnet.grasping.terms import Pads
+from grabnet.grasping.seen import Pads
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,7 @@ def wrenches(pads: Pads, centre: Tensor, config: ForceConfig) -> Tensor:
     force = inward.unsqueeze(2) + tangents  # (B, P, 4, 3)
     arm = (pads.place - centre.unsqueeze(1)) / config.arm
     torque = torch.linalg.cross(arm.unsqueeze(2).expand_as(force), force)
-    nearest = (pads.share * pads.gap).sum(-1)
-    touching = torch.exp(-nearest.relu() / config.reach)
+    touching = torch.exp(-pads.distance.relu() / config.reach)
     return (torch.cat([force, torque], -1) * touching[..., None, None]).flatten(1, 2).mT
 
 

@@ -95,7 +95,6 @@ class GraspHand:
         longest = torch.arange(max(len(pad) for pad in pads), device=self.rest.device)
         members = torch.stack([pad[longest.clamp(max=len(pad) - 1)] for pad in pads])
         self.of_thumb = torch.tensor([name.startswith("thumb") for name in self.pad_names], device=self.rest.device)
-        self.n_forearm = len(FOREARM_REACH)
         self.pad_mask = torch.stack([longest < len(pad) for pad in pads])
         self.pads = torch.arange(members.numel(), device=self.rest.device).view(members.shape)
         others = torch.arange(0, len(self.rest), SKIN_STRIDE, device=self.rest.device)
@@ -121,7 +120,7 @@ class GraspHand:
         return skin(self.normals[vertices], self.weights[vertices], rotations, torch.zeros_like(rotations[..., 0]))
 
     def sampled(self, pose: GraspPose) -> tuple[Tensor, Sampled]:
-        """What the optimiser looks at, differentiable: all points (B, N + S + 5, 3) in one, and the same by their kind."""
+        """What the optimiser looks at: all points (B, N + S + 5, 3) in one, and the same by their kind."""
         everything = PosePoints.apply(*pose, self.chain, self._basis)
         n_points = len(self.sample) + len(self._inner)
         points, facing = everything.split([n_points, self.pads.numel()], 1)

@@ -3,52 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import torch
 from torch import Tensor
 
-from grabnet.geometry.atlas import SDFAtlas
 from grabnet.grasping import terms
 from grabnet.grasping.descent import DescentConfig, descend
 from grabnet.grasping.forces import ForceConfig, HeldForces
-from grabnet.grasping.grasp_hand import FOREARM_RADIUS, GraspHand, GraspPose
-from grabnet.grasping.terms import Pads
-
-
-class Surface(Protocol):
-    """An object's surface: signed distances (B, N), metres, and unit normals (B, N, 3) of points (B, N, 3) in its frame."""
-
-    def __call__(self, points: Tensor) -> tuple[Tensor, Tensor]: ...
-
-
-class AtlasSurface:
-    """The surface of one object of an atlas."""
-
-    def __init__(self, atlas: SDFAtlas, index: int = 0):
-        self.atlas, self.index = atlas, index
-
-    def __call__(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        objects = torch.full((len(points),), self.index, dtype=torch.int64, device=points.device)
-        return self.atlas.with_gradient(points, objects)
+from grabnet.grasping.grasp_hand import GraspHand, GraspPose
+from grabnet.grasping.obstacles import ObstacleConfig, Obstacles
+from grabnet.grasping.seen import Pads, Seen
+from grabnet.grasping.surface import Surface
 
 
 @dataclass(frozen=True)
-class OptimiserConfig(DescentConfig):
+class OptimiserConfig(DescentConfig, ObstacleConfig):
     """Descent, and the weights of the energy's terms; lengths in millimetres."""
 
     contact: float = 1.0  # per mm of a pad's distance
     contact_target: float = -0.7  # pads sink in a little: skin yields
     furthest: float = 40.0  # a pad further away than this no longer pulls
     near: float = 12.0  # over which a pad's share fades with its distance at the start
-    skin: float = 0.3  # per mm² of skin inside the object
     skin_slack: float = 0.8
-    spheres: float = 1.0  # per mm² of overlap of the spheres in the fingers: this keeps them out of thin walls
-    sphere_share: float = 0.9  # of a sphere's radius
-    forearm: float = 0.02  # per mm² by which the object is nearer to the forearm than …
-    forearm_gap: float = 5.0
-    table: float = 0.4  # per mm² of skin or forearm below the table, where there is one
-    table_gap: float = 1.0
     self_overlap: float = 1.0  # per mm² of overlap between fingers
     alignment: float = 3.0  # pads face the surface they touch
     opposition: float = 3.0  # thumb and fingers press against each other
@@ -96,45 +72,47 @@ class GraspOptimiser:
         """
         if not (self.config.iterations and len(start.wrist)):
             return start
-        energy = GraspEnergy(self, start, surface, centre, floor)
+        energy = HoldingEnergy(self.hand, self.config, self.pad_weight, start, surface, centre, floor)
         return descend(start, energy, self.hand.anatomy.angle_limits, self.config)
 
 
-class GraspEnergy:
-    """Energy of a batch of hands, which started at given poses, on one object."""
+class HoldingEnergy:
+    """Energy of a batch of hands on one object, B of them, which started at given poses.
+
+    Args:
+        pad_weight: (P,) how much each pad counts.
+        centre, floor: as in `GraspOptimiser`.
+    """
 
     def __init__(
         self,
-        optimiser: GraspOptimiser,
+        hand: GraspHand,
+        config: OptimiserConfig,
+        pad_weight: Tensor,
         start: GraspPose,
         surface: Surface,
         centre: Tensor | None = None,
         floor: float | None = None,
     ):
-        self.hand, self.config, self.surface = optimiser.hand, optimiser.config, surface
-        self.start, self.floor = start, floor
-        hand, c = self.hand, self.config
-        self._skin_reach = torch.where(hand.sampled_once, -c.skin_slack, -1e4)
-        self._inner_reach = torch.cat(
-            [
-                c.sphere_share * 1e3 * hand.radii,
-                hand.radii.new_full((hand.n_forearm,), 1e3 * FOREARM_RADIUS + c.forearm_gap),
-            ]
-        )
+        self.hand, self.config, self.start, self.surface = hand, config, start, surface
+        self.obstacles = Obstacles(hand, config, floor)
         self._thumb = hand.pad_names.index("thumb3")
         with torch.no_grad():
-            pads, _ = self._look(start, c.softness[0])[1:]
-            self.weight, self._finger_share = self._meant(optimiser.pad_weight, pads)
-            middle = (self.weight.unsqueeze(-1) * pads.place).sum(1) / self.weight.sum(1, keepdim=True)
+            pads = Seen.of(hand, start, surface, config.softness[0]).pads
+        self.weight, self._opposing = self._meant(pad_weight, pads)
+        middle = (self.weight.unsqueeze(-1) * pads.place).sum(1) / self.weight.sum(1, keepdim=True)
         self._centre = middle if centre is None else centre.to(middle).expand_as(middle)
-        self._forces = HeldForces(start.wrist, len(hand.pads), c.forces)
+        self._forces = HeldForces(start.wrist, len(hand.pads), config.forces)
 
     def _meant(self, pad_weight: Tensor, pads: Pads) -> tuple[Tensor, Tensor]:
-        """Weights (B, P) of the pads' contact: those near at the start, the thumb's tip and the nearest fingertip;
-        and the shares (B, P) of those that oppose the thumb."""
-        near = (pads.share * pads.gap).sum(-1).relu()
+        """(B, P) weights of the pads that are meant to touch, and of those the shares that oppose the thumb.
+
+        Those near the object at the start; the thumb's tip and the fingertip nearest to the object in any case.
+        """
+        near = pads.distance.relu()
         weight = pad_weight * torch.exp(-near / self.config.near)
-        tips = torch.tensor([n[-1] == "3" and n != "thumb3" for n in self.hand.pad_names]).to(near.device)
+        names = self.hand.pad_names
+        tips = torch.tensor([name[-1] == "3" and name != "thumb3" for name in names], device=near.device)
         nearest = torch.where(tips, near, torch.inf).argmin(1, keepdim=True)
         needed = torch.zeros_like(weight).scatter(1, nearest, 1.0)
         needed[:, self._thumb] = 1
@@ -142,46 +120,24 @@ class GraspEnergy:
         fingers = weight * ~self.hand.of_thumb
         return weight, fingers / fingers.sum(1, keepdim=True)
 
-    def _look(self, pose: GraspPose, softness: float):
-        hand = self.hand
-        points, sampled = hand.sampled(pose)
-        distance, normal = self.surface(points)
-        distance = 1e3 * distance
-        return distance, Pads.of(hand, sampled, distance, normal, softness), sampled
-
     def __call__(self, pose: GraspPose, softness: float, firmness: float, iteration: int) -> Tensor:
         """(B,) energies.
 
         Args:
-            softness: mm, over which a pad's contact is spread among its vertices; low: only the nearest counts.
+            softness: mm, over which a pad's contact is spread among its vertices; low: only the deepest counts.
             firmness: factor on all overlap with object and table.
-            iteration: number of the look; every few, forces are solved for.
+            iteration: number of the look; at every few of them forces are solved for.
         """
-        c, hand = self.config, self.hand
-        distance, pads, sampled = self._look(pose, softness)
-        sizes = [len(hand.sample), len(hand.radii), hand.n_forearm]
-        skin, spheres, forearm = distance.split(sizes, 1)
-        sphere_reach, forearm_reach = self._inner_reach.split(sizes[1:])
-        through = c.skin * terms.overlap(skin, self._skin_reach) + c.spheres * terms.overlap(spheres, sphere_reach)
-        if c.forearm:
-            through = through + c.forearm * terms.overlap(forearm, forearm_reach, 40)
-        if self.floor is not None:
-            skin = 1e3 * (sampled.skin[..., 2] - self.floor)
-            forearm = 1e3 * (sampled.forearm[..., 2] - self.floor)
-            below = terms.below_table(skin, c.table_gap)
-            through = through + c.table * (below + terms.below_table(forearm, 1e3 * FOREARM_RADIUS + c.table_gap))
-        energy = firmness * through
-        energy = energy + c.contact * terms.contact(pads, self.weight, c.contact_target, c.furthest)
-        if c.alignment:
-            energy = energy + c.alignment * terms.alignment(pads, self.weight)
-        if c.opposition:
-            energy = energy + c.opposition * terms.opposition(pads, self._thumb, self._finger_share)
+        c, start = self.config, self.start
+        seen = Seen.of(self.hand, pose, self.surface, softness)
+        energy = firmness * self.obstacles(seen)
+        energy = energy + c.contact * terms.contact(seen.pads, self.weight, c.contact_target, c.furthest)
+        energy = energy + c.alignment * terms.alignment(seen.pads, self.weight)
+        energy = energy + c.opposition * terms.opposition(seen.pads, self._thumb, self._opposing)
+        energy = energy + c.self_overlap * self.hand.overlap(seen.sampled.spheres)
         if c.force:
             solve = iteration % c.force_every == 0
-            energy = energy + c.force * self._forces.unmet(pads, self._centre, solve)
-        if c.self_overlap:
-            energy = energy + c.self_overlap * hand.overlap(sampled.spheres)
-        start = self.start
+            energy = energy + c.force * self._forces.unmet(seen.pads, self._centre, solve)
         energy = energy + c.posture * terms.strayed(pose.angles, start.angles)
         energy = energy + c.wrist * terms.strayed(1e3 * pose.wrist, 1e3 * start.wrist, c.wrist_scale)
         return energy + c.turn / 2 * terms.strayed(pose.rotation.flatten(1), start.rotation.flatten(1))

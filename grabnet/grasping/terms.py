@@ -5,42 +5,13 @@ Distances to the object are signed, mm, negative inside; normals are the object'
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from grabnet.grasping.grasp_hand import GraspHand, Sampled
+from grabnet.grasping.seen import Pads
 
-DEEPEST = 25.0  # mm of overlap beyond which it costs no more: signed distance says little there
-
-
-class Pads(NamedTuple):
-    """The pads of B hands, each pad as the mean of its vertices weighted towards the deepest.
-
-    gap (B, P, K) mm to the object; share (B, P, K) of each vertex, sums of 1; place (B, P, 3) metres; surface
-    (B, P, 3) unit normals of the object there; facing (B, P, 3) unit normals of the skin.
-    """
-
-    gap: Tensor
-    share: Tensor
-    place: Tensor
-    surface: Tensor
-    facing: Tensor
-
-    @classmethod
-    def of(cls, hand: GraspHand, sampled: Sampled, distance: Tensor, normal: Tensor, softness: float | Tensor) -> Pads:
-        """Args:
-        distance, normal: (B, N) mm and (B, N, 3) at `sampled.skin`.
-        softness: mm, over which a pad is spread among its vertices; low: only the deepest counts.
-        """
-        shape, n = hand.pads.shape, hand.pads.numel()
-        gap = distance[:, :n].unflatten(1, shape)
-        share = torch.where(hand.pad_mask, -gap.detach() / softness, -1e4).softmax(-1)
-        facing = normalize(_mean(share, sampled.facing), dim=-1)
-        surface = normalize(_mean(share, normal[:, :n].unflatten(1, shape)), dim=-1)
-        return cls(gap, share, _mean(share, sampled.skin[:, :n].unflatten(1, shape)), surface, facing)
+DEEP = 3.0  # mm of overlap, above which it costs in proportion and no longer by its square
 
 
 def contact(pads: Pads, weight: Tensor, target: float, furthest: float) -> Tensor:
@@ -69,13 +40,16 @@ def opposition(pads: Pads, thumb: int, share: Tensor) -> Tensor:
     return thumb_side + finger_side
 
 
-def overlap(distance: Tensor, reach: float | Tensor, deepest: float = DEEPEST) -> Tensor:
+def overlap(distance: Tensor, reach: float | Tensor) -> Tensor:
     """mm² by which points at distances (B, N) are nearer to the object than `reach` (N,) mm.
 
     A negative reach is slack: skin that may yield. Spheres reach as far as their radius, which keeps them, other than
-    skin, from coming out of a thin wall on its far side.
+    skin, from coming out of a thin wall on its far side. Beyond `DEEP` it grows in proportion only, so that a hand
+    that starts deep inside is not flung out.
     """
-    return (reach - distance).clamp(0, deepest).square().sum(1)
+    inside = (reach - distance).relu()
+    near = inside.clamp(max=DEEP)
+    return (near * (2 * inside - near)).sum(1)
 
 
 def below_table(height: Tensor, reach: float | Tensor) -> Tensor:
@@ -91,7 +65,3 @@ def beyond_limits(angles: Tensor, limits: Tensor) -> Tensor:
 def strayed(value: Tensor, start: Tensor, scale: float = 1.0) -> Tensor:
     """Squared distance of (B, N) from the start, in units of `scale`."""
     return ((value - start) / scale).square().sum(1)
-
-
-def _mean(share: Tensor, values: Tensor) -> Tensor:
-    return (share.unsqueeze(-2) @ values).squeeze(-2)

@@ -25,7 +25,7 @@ def overlaps(
     row, lane = wp.tid()
     for i in range(lane, centres.shape[1], lanes):
         here = centres[row, i]
-        total = float(0.0)
+        total = wp.float32(0.0)
         push = wp.vec3(0.0, 0.0, 0.0)
         for k in range(first[i], first[i + 1]):
             offset = here - centres[row, partner[k]]

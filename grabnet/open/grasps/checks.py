@@ -101,7 +101,7 @@ def measure(
         forearm=(FOREARM_RADIUS * 1e3 - config.forearm - forearm).amax(1),
         below_table=under.amax(1) * 1e3,
         opposed=opposed,
-        uneasy=discomfort(pose.rotation, proposals.on_table, proposals.forward, posture),
+        uneasy=discomfort(pose.rotation, hand.anatomy.frame, proposals.on_table, proposals.forward, posture),
         off_part=torch.maximum(low - centre, centre - high).relu().norm(dim=1) * 1e3,
         bend=(flexion[:, 1:] - flexion[:, :-1]).abs().amax((1, 2)),
     )

@@ -136,7 +136,7 @@ def propose(
     candidates = Proposals(GraspPose(rotation, wrist, angles), kind, part, on_table, forward)
 
     score = _score(scene, hand, candidates) + 1e5 * misfit
-    score = score + config.uneasy * discomfort(rotation, on_table, forward, posture)
+    score = score + config.uneasy * discomfort(rotation, hand.anatomy.frame, on_table, forward, posture)
     best, winner = score.unflatten(0, (slots, each)).min(1)
     rows = torch.arange(slots) * each + winner
     kept = torch.where(best < config.worst)[0]

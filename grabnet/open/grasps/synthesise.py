@@ -19,7 +19,7 @@ from grabnet.body.hand import HandModel
 from grabnet.grasping.grasp_hand import GraspHand, GraspPose
 from grabnet.open.grasps.checks import AcceptanceConfig, GraspMeasures, measure, verdicts
 from grabnet.open.grasps.energy import EnergyConfig
-from grabnet.open.grasps.optimise import OptimiserConfig, optimise
+from grabnet.open.grasps.optimise import SynthesisDescentConfig, optimise
 from grabnet.open.grasps.posture import PostureConfig
 from grabnet.open.grasps.proposals import KIND_NAMES, ProposalConfig, propose
 from grabnet.open.grasps.scene import SynthesisScene
@@ -48,7 +48,7 @@ class SynthesisConfig:
     proposals: ProposalConfig = field(default_factory=ProposalConfig)
     posture: PostureConfig = field(default_factory=PostureConfig)
     energy: EnergyConfig = field(default_factory=EnergyConfig)
-    optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
+    optimiser: SynthesisDescentConfig = field(default_factory=SynthesisDescentConfig)
     acceptance: AcceptanceConfig = field(default_factory=AcceptanceConfig)
     stability: StabilityConfig = field(default_factory=StabilityConfig)
 

@@ -9,11 +9,13 @@ import trimesh
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.grasping.grasp_hand import GraspHand
-from grabnet.open.grasps.optimise import OptimiserConfig
+from grabnet.open.grasps.optimise import SynthesisDescentConfig
 from grabnet.open.grasps.scene import SynthesisScene, part
 from grabnet.open.grasps.synthesise import GENDERS, SynthesisConfig, grasp_object, subject_betas
 
-CONFIG = replace(SynthesisConfig(), per_object=10, batch=24, max_rounds=3, optimiser=OptimiserConfig(iterations=45))
+CONFIG = replace(
+    SynthesisConfig(), per_object=10, batch=24, max_rounds=3, optimiser=SynthesisDescentConfig(iterations=45)
+)
 
 
 @pytest.fixture(scope="module")
