@@ -16,8 +16,8 @@ from grabnet.models.generator import GraspGenerator
 class RecordedGenerator(GraspGenerator):
     """Draws recorded grasps of one object at random, with replacement, and puts them about another one's centroid.
 
-    The recorded posture and place of the wrist are kept; the shape of the hand is the one that is asked for. Right hands
-    only: of a mirrored object there is no recording.
+    The recorded posture and place of the wrist are kept; the shape of the hand is the one that is asked for. Only for
+    right hands: of a mirrored object there is no recording.
 
     Args:
         store: of the frames.

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from grabnet.body.hand import HandParameters
 from grabnet.geometry.placed import PlacedObjects
-from grabnet.grasping.grasp_hand import GraspHand
 from grabnet.grasping.optimiser import GraspOptimiser
 from grabnet.models.generator import GraspGenerator
 

@@ -134,8 +134,8 @@ class Grabber(nn.Module):
         Args:
             mesh: the object, open or closed, or a file of one.
             n: number of grasps.
-            seed: grasp i of a seed is the same for every n: it is chosen from candidates whose number depends on i, not on
-                n (`ranking.pool_sizes`).
+            seed: grasp i of a seed is the same for every n: it is chosen from so many candidates as i alone decides
+                (`ranking.pool_sizes`).
             side: "left" grasps the mirrored object with the right-hand networks and mirrors the result back.
             orientation: how the object stands before the hand: "upright", turned about its vertical from grasp to
                 grasp, in golden angles from a random one; "fixed", as in its file; "random", turned anyhow.

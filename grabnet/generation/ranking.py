@@ -87,8 +87,8 @@ def pool_sizes(n: int, candidates: int, block: int) -> Tensor:
 def choose(score: Tensor, keypoints: Tensor, pools: Tensor, config: RankingConfig) -> Kept:
     """Choose grasps one after the other, greedily.
 
-    Each is the candidate of its pool, not chosen before, with the lowest score plus `variety` · exp(−(d / `likeness`)²),
-    d being the mean distance of its keypoints to those of the most similar one chosen before. One with d below `distinct`
+    Each is the candidate of its pool, not chosen before, with the lowest score + `variety` · exp(−(d / `likeness`)²), d
+    being the mean distance of its keypoints to those of the most similar one chosen before. One with d below `distinct`
     is a duplicate: it is chosen only where the pool has nothing else left, as is one whose score is not finite.
 
     Args:
@@ -106,6 +106,6 @@ def choose(score: Tensor, keypoints: Tensor, pools: Tensor, config: RankingConfi
         index.append(best)
         apart.append(nearest[best].clone())
         score[best] = torch.inf
-        distance = (keypoints - keypoints[best]).norm(dim=-1).mean(-1).double()
+        distance = (keypoints - keypoints[best]).norm(dim=-1).mean(-1).double().nan_to_num(torch.inf)
         nearest = torch.minimum(nearest, distance)
     return Kept(torch.tensor(index), torch.stack(apart))

@@ -12,8 +12,8 @@ from grabnet.contact.contacts import Contacts
 from grabnet.generation.ranking import RankingConfig
 from grabnet.geometry.placed import PlacedObjects
 from grabnet.grasping.forces import ForceConfig, HeldForces
-from grabnet.grasping.grasp_hand import GraspHand
-from grabnet.grasping.terms import Pads
+from grabnet.grasping.grasp_hand import GraspHand, GraspPose
+from grabnet.grasping.seen import Seen
 from grabnet.grasping.walls import crossing, depth_through_walls
 
 # mm, over which a pad's contact is spread among its vertices, and steps until contact forces are found.
@@ -67,11 +67,8 @@ def judge(
     return Judged(parts, keypoints @ objects.rotations)
 
 
-def _unmet(held: GraspHand, pose, objects: PlacedObjects) -> Tensor:
+def _unmet(held: GraspHand, pose: GraspPose, objects: PlacedObjects) -> Tensor:
     """(B,) share of the load that contacts cannot bear (`HeldForces`)."""
-    points, sampled = held.sampled(pose)
-    distance, normal = objects.surface(points)
-    n = len(held.sample)
-    pads = Pads.of(held, sampled, 1e3 * distance[:, :n], normal[:, :n], _SOFTNESS)
-    centre = pose.wrist.new_zeros(1, 3)
-    return HeldForces(pose.wrist, len(held.pads), ForceConfig(iterations=_FORCE_STEPS)).unmet(pads, centre, True)
+    pads = Seen.of(held, pose, objects.surface, _SOFTNESS).pads
+    forces = HeldForces(pose.wrist, len(held.pads), ForceConfig(iterations=_FORCE_STEPS))
+    return forces.unmet(pads, pose.wrist.new_zeros(1, 3), solve=True)

@@ -35,7 +35,9 @@ def by_hand(score: list[float], keypoints: torch.Tensor, pools: list[int], confi
 def test_choice_is_that_of_plain_loops(variety):
     score, keypoints = some(48, seed=1)
     config, pools = RankingConfig(variety=variety), pool_sizes(15, 3, 16)
-    assert choose(score, keypoints, pools, config).index.tolist() == by_hand(score.tolist(), keypoints, pools.tolist(), config)
+    assert choose(score, keypoints, pools, config).index.tolist() == by_hand(
+        score.tolist(), keypoints, pools.tolist(), config
+    )
 
 
 def test_pools_grow_by_blocks_and_do_not_depend_on_n():

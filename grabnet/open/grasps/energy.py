@@ -10,11 +10,11 @@ from torch import Tensor
 from grabnet.grasping import terms
 from grabnet.grasping.grasp_hand import GraspHand, GraspPose
 from grabnet.grasping.obstacles import ObstacleConfig, Obstacles
+from grabnet.grasping.proposing.grasped_object import GraspedObject
+from grabnet.grasping.proposing.posture import PostureConfig, discomfort
+from grabnet.grasping.proposing.proposals import Proposals, pad_weights
+from grabnet.grasping.proposing.templates import regularity
 from grabnet.grasping.seen import Seen
-from grabnet.open.grasps.posture import PostureConfig, discomfort
-from grabnet.open.grasps.proposals import Proposals, pad_weights
-from grabnet.open.grasps.scene import SynthesisScene
-from grabnet.open.grasps.templates import regularity
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class SynthesisEnergy:
 
     def __init__(
         self,
-        scene: SynthesisScene,
+        scene: GraspedObject,
         hand: GraspHand,
         proposals: Proposals,
         prior: Tensor,

@@ -9,10 +9,10 @@ from torch import Tensor
 
 from grabnet.grasping.descent import DescentConfig, descend
 from grabnet.grasping.grasp_hand import GraspHand, GraspPose
+from grabnet.grasping.proposing.grasped_object import GraspedObject
+from grabnet.grasping.proposing.posture import PostureConfig
+from grabnet.grasping.proposing.proposals import Proposals
 from grabnet.open.grasps.energy import EnergyConfig, SynthesisEnergy
-from grabnet.open.grasps.posture import PostureConfig
-from grabnet.open.grasps.proposals import Proposals
-from grabnet.open.grasps.scene import SynthesisScene
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class SynthesisDescentConfig(DescentConfig):
 
 
 def optimise(
-    scene: SynthesisScene,
+    scene: GraspedObject,
     hand: GraspHand,
     proposals: Proposals,
     limits: Tensor,

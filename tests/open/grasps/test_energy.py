@@ -6,13 +6,13 @@ from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.grasping.grasp_hand import GraspHand, GraspPose
+from grabnet.grasping.proposing.posture import PostureConfig
+from grabnet.grasping.proposing.proposals import Proposals
+from grabnet.grasping.proposing.templates import KINDS
 from grabnet.grasping.spheres import overlaps
 from grabnet.open.grasps.energy import EnergyConfig, SynthesisEnergy
-from grabnet.open.grasps.posture import PostureConfig
-from grabnet.open.grasps.proposals import Proposals
-from grabnet.open.grasps.templates import KINDS
 
-from .scenes import ball
+from ...grasping.scenes import ball
 
 
 def test_gradient_matches_finite_differences():

@@ -3,7 +3,7 @@ from __future__ import annotations
 import torch
 
 from grabnet.grasping.grasp_hand import GraspPose
-from grabnet.open.grasps.templates import KINDS, regularity
+from grabnet.grasping.proposing.templates import KINDS, regularity
 
 
 def posed(hand, angles):

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from grabnet.body.anatomy import Anatomy
 from grabnet.grasping.grasp_hand import GraspHand, GraspPose
 from grabnet.grasping.terms import beyond_limits
 
@@ -64,8 +65,11 @@ _TIPS = {
 
 @dataclass(frozen=True)
 class TemplateConfig:
-    """Lengths in metres, weights of energies that are about 1 when bad."""
+    """Lengths in metres, weights of energies that are about 1 when bad, angles in radians."""
 
+    mcp_extension: float = -0.15  # of knuckles, the thumb's joints: further back does not look natural in a grasp
+    thumb_mcp_extension: float = -0.1
+    thumb_ip_extension: float = -0.3
     openings: int = 25  # from narrowest to widest, evenly
     narrowest: float = 0.004
     widest: float = 0.10
@@ -97,6 +101,21 @@ def build_templates(hand: GraspHand, limits: Tensor, config: TemplateConfig | No
     templates = {kind: _opposing(hand, limits, kind, config) for kind in _TIPS}
     templates["power"] = _wrapping(hand, limits, templates["precision"].angles, config)
     return {kind: templates[kind] for kind in KINDS}
+
+
+def natural_limits(anatomy: Anatomy, config: TemplateConfig) -> Tensor:
+    """(21, 2) radians: the anatomy's limits, narrowed to what looks natural in a grasp."""
+    limits = anatomy.angle_limits.clone()
+    lowest = {
+        "mcp_flexion": config.mcp_extension,
+        "thumb_mcp": config.thumb_mcp_extension,
+        "thumb_ip": config.thumb_ip_extension,
+    }
+    for i, name in enumerate(anatomy.angle_names):
+        for ending, value in lowest.items():
+            if name.endswith(ending):
+                limits[i, 0] = max(float(limits[i, 0]), value)
+    return limits
 
 
 def regularity(angles: Tensor, dip_per_pip: float) -> tuple[Tensor, Tensor, Tensor]:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import torch
 
 from grabnet.geometry.rotations import about_z, random_rotations
-from grabnet.open.grasps.posture import PostureConfig, discomfort
+from grabnet.grasping.proposing.posture import PostureConfig, discomfort
 
 # Distal, palmar and radial as rows: a hand that at rest lies along x with its palm down, its thumb towards z.
 FRAME = torch.tensor([[-1.0, 0, 0], [0, -1, 0], [0, 0, 1]])
