@@ -64,7 +64,7 @@ class EvaluationInputs:
             for name, mesh in self.meshes.items()
         }
         self.models: list[EvaluatedModel] = load_models(
-            config.models, self.hand, config.runs, usable_device(config.device)
+            config.models, self.hand, config.runs, usable_device(config.device), **config.treatment
         )
 
     def data_for(self, network: SavedNetwork) -> GraspDataModule:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, is_dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import torch
@@ -38,6 +39,7 @@ ORIENTATIONS = ("upright", "fixed", "random")
 # Vertices that the atlas puts farther than this (metres) outside are not measured exactly: neither contact nor
 # penetration can depend on them, and they are most of the hand.
 _EXACT_WITHIN = 0.01
+_SETTINGS = ("batch_size", "n_turns", "optimise", "candidates", "optimiser", "ranking")
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
@@ -110,6 +112,17 @@ class Grabber(nn.Module):
         grabber = cls(load_model(files, hand, refine), hand, **options)
         grabber.weights = {kind: file for kind, file in files.items() if refine or kind != "RefineNet"}
         return grabber
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All arguments of the constructor but generator and hand, ready for JSON; grasps depend on them."""
+        values = {name: getattr(self, name) for name in _SETTINGS}
+        return {name: asdict(value) if is_dataclass(value) else value for name, value in values.items()}
+
+    def changed(self, generator: GraspGenerator | None = None, **settings: Any) -> Grabber:
+        """A grabber with another generator or other settings on the same device."""
+        values = {name: getattr(self, name) for name in _SETTINGS} | settings
+        return Grabber(generator or self.generator, self.hand, **values).to(self.finger.device)
 
     @torch.no_grad()
     def forward(

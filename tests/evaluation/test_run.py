@@ -43,7 +43,17 @@ def runs(grabber, tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def arguments(runs, tiny_dataset, cache_dir) -> list[str]:
     """For four grasps of the ring, those of the can being for validation."""
-    few = ["n=4", "halo_samples=3", "draws=50", "pictures=0", "scenes=1", "processes=1", "reconstruction=false"]
+    few = [
+        "n=4",
+        "halo_samples=3",
+        "draws=50",
+        "pictures=0",
+        "scenes=1",
+        "processes=1",
+        "reconstruction=false",
+        "optimise=0",
+        "candidates=1",
+    ]
     data = ["data=frames", f"data.root={tiny_dataset}", "data.split.val=[can]", "data.split.test=[ring]"]
     places = ["models=[newest]", f"runs={runs}", f"cache_dir={cache_dir}", f"data.cache_dir={cache_dir}"]
     return [*data, "data.object_points=64", *few, "simulated=0", *places]
