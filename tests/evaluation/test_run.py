@@ -381,3 +381,24 @@ def test_poses_turned_by_hand(made, tiny_dataset, hand):
     np.testing.assert_allclose(hands.vertices, meshes.vertices, atol=1e-5)
     assert read_grasps(made / "meshes", "can", tiny_dataset / OBJECT_MESHES / "can.ply", hand, 2) is None
     assert torch.as_tensor(hands.hand_pose).shape == (2, 15, 3, 3)
+
+
+def test_rows_show_what_optimisation_candidates_and_learning_add(call):
+    found = results(call("optimise=2", "candidates=2", "n=2"))
+    assert list(found["rows"]) == [
+        "Ground truth",
+        "Naive baseline",
+        "Naive baseline, optimised, best of 2",
+        "Templates, optimised, best of 2",
+        "CoarseNet",
+        "CoarseNet + RefineNet",
+        "CoarseNet + RefineNet, optimised",
+        "CoarseNet + RefineNet, optimised, best of 2",
+    ]
+    assert list(results(call("optimise=0", "candidates=2", "n=2"))["rows"])[2:] == [
+        "Naive baseline, best of 2",
+        "Templates, best of 2",
+        "CoarseNet",
+        "CoarseNet + RefineNet",
+        "CoarseNet + RefineNet, best of 2",
+    ]
