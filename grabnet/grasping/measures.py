@@ -27,8 +27,8 @@ _NEAR = 0.005  # metres, as contact counts in the field (ref. 9)
 
 # What the numbers of a report are, kept beside them.
 DEFINITIONS = {
-    "through_mm": "of the lines from inside a finger or the palm to each vertex of its skin, the longest stretch beyond "
-    "where one first enters the object: depth through walls, however thin",
+    "through_mm": "of the lines from inside a finger or the palm to each vertex of its skin, the longest stretch "
+    "beyond where one first enters the object: depth through walls, however thin",
     "pierced": "whether the object cuts the hand into more than one piece, or touches the lines along its bones",
     "contact_area_cm2": "skin within 5 mm of the object's surface, in or out, that looks against it",
     "opposition": "minus the cosine between the object's normals under the thumb and under the finger or palm that "
@@ -90,7 +90,6 @@ def measure_grasps(
         contacts: of the same hands with the object.
     """
     lines = Lines.of(Interior.of(hand), query, vertices, contacts.distances)
-    inside = contacts.distances < 0
     near = contacts.distances.abs() < _NEAR
     nearest = near | contacts.touching
     normals = torch.zeros_like(vertices)
@@ -102,7 +101,7 @@ def measure_grasps(
     excess, _ = beyond_limits(hand.anatomy, hand_pose)
     return GraspMeasures(
         through_mm=1e3 * lines.through.amax(1),
-        pierced=lines.bone_crosses | (pieces(mesh, query, vertices, faces, inside, lines) > 1),
+        pierced=lines.bone_crosses | (pieces(mesh, query, vertices, faces, contacts.distances, lines) > 1),
         contact_area_cm2=1e4 * (areas * against).sum(1).float(),
         opposition=opposition(contacts.touching, normals, contacts.finger),
         crossing_mm=crossing(hand, posed).clamp_min(0),
@@ -111,27 +110,28 @@ def measure_grasps(
 
 
 def pieces(
-    mesh: Mesh, query: MeshQuery, vertices: Tensor, faces: Tensor, inside: Tensor, lines: Lines | None
+    mesh: Mesh, query: MeshQuery, vertices: Tensor, faces: Tensor, distances: Tensor, lines: Lines | None
 ) -> Tensor:
     """(N,) int64: into how many pieces an object cuts each hand, its wrist closed by a lid.
 
     Args:
         mesh: the object, closed or open. query: of the same, on the CPU.
         vertices: (N, V, 3) of the hands. faces: (F, 3), facing outwards.
-        inside: (N, V) bool, which vertices are in the object.
+        distances: (N, V) metres, signed, from the vertices to it.
         lines: in the hands; None where their bones are unknown.
     """
     lids = Lids(vertices.shape[1], faces.numpy())
     closed = torch.from_numpy(lids.with_middles(vertices.numpy()))
     middles = closed[:, vertices.shape[1] :]
-    inside = torch.cat([inside, query.signed_distance(middles.flatten(0, 1)).view(middles.shape[:2]) < 0], 1).numpy()
+    of_lids = query.signed_distance(middles.flatten(0, 1)).view(middles.shape[:2])
+    distances = torch.cat([distances, of_lids.to(distances)], 1).numpy()
     hand = MovingMesh(closed[0].numpy(), np.concatenate([faces.numpy(), lids.faces]))
     solid = MovingMesh(mesh.vertices, mesh.faces if mesh.volume >= 0 else mesh.faces[:, ::-1])
     counts = []
     for i, posed in enumerate(closed.numpy()):
         hand.move(posed)
         joined = np.zeros((0, 2), np.int64) if lines is None else lines.joined(i, closed.shape[1])
-        counts.append(count_pieces(hand, solid, inside[i], joined))
+        counts.append(count_pieces(hand, solid, distances[i], joined))
     return torch.tensor(counts)
 
 

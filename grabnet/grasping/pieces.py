@@ -11,7 +11,10 @@ from scipy.sparse.csgraph import connected_components
 from grabnet.geometry.intersections import Crossings, MovingMesh, find_crossings
 
 
-def count_pieces(hand: MovingMesh, solid: MovingMesh, inside: np.ndarray, lines: np.ndarray) -> int:
+_ON_SURFACE = 1e-6  # metres, within which rounding decides on which side a vertex is
+
+
+def count_pieces(hand: MovingMesh, solid: MovingMesh, distances: np.ndarray, lines: np.ndarray) -> int:
     """How many pieces of a hand are left outside an object; 0 where none is.
 
     Pieces hold together along the hand's skin outside the object, along the object's surface inside the hand, and along
@@ -20,16 +23,18 @@ def count_pieces(hand: MovingMesh, solid: MovingMesh, inside: np.ndarray, lines:
 
     Args:
         hand, solid: the surfaces, both closed and facing outwards.
-        inside: (V of the hand,) bool, vertices in the object.
+        distances: (V of the hand,) metres from its vertices to the object, negative inside.
         lines: (L, 2) pairs joined by such a line: vertices of the hand, and numbers from V on
             for points inside it.
     """
-    crossings = find_crossings(hand, solid)
+    crossings, inside = find_crossings(hand, solid), distances < 0
     if not crossings.n_rings:
         return int(not inside.all())
     first_ring = max(len(hand.vertices), int(lines.max(initial=0)) + 1)
     n = first_ring + crossings.n_rings
-    skin = _along(hand, _Cuts.of(hand, crossings, False), ~inside, 0, first_ring, is_inside=False)
+    cuts = _Cuts.of(hand, crossings, False)
+    inside = np.where(np.abs(distances) < _ON_SURFACE, cuts.enclosed(hand), inside)
+    skin = _along(hand, cuts, ~inside, 0, first_ring, is_inside=False)
     links = [skin, _within_faces(hand, crossings, inside, first_ring), lines]
     outside = np.unique(np.append(skin, (~inside).nonzero()[0]))
     if len(np.unique(_joined(links, n)[outside])) > 1:  # seldom, and the object may be large
