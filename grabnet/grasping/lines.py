@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -61,6 +61,11 @@ class Lines:
     def bone_crosses(self) -> Tensor:
         """(N,) bool: the object touches a bone."""
         return ~self.chain_clear.all(1)
+
+    def select(self, index: Tensor) -> Lines:
+        """The chosen hands'."""
+        per_hand = ("points", "through", "clear", "chain_clear")
+        return replace(self, **{name: getattr(self, name)[index] for name in per_hand})
 
     def joined(self, index: int, first_point: int) -> np.ndarray:
         """(L, 2) what clear lines of one hand join: its vertices, and from `first_point` on the points inside it."""

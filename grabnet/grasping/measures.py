@@ -98,10 +98,13 @@ def measure_grasps(
     areas = torch.from_numpy(vertex_areas(vertices.numpy(), faces.numpy()))
     no_sphere = lines.points[:, :0]
     posed = Posed(vertices, lines.points, no_sphere, no_sphere.unsqueeze(-1))
+    pierced = lines.bone_crosses
+    rest = ~pierced  # the others need no counting
+    pierced[rest] = pieces(mesh, query, vertices[rest], faces, contacts.distances[rest], lines.select(rest)) > 1
     excess, _ = beyond_limits(hand.anatomy, hand_pose)
     return GraspMeasures(
         through_mm=1e3 * lines.through.amax(1),
-        pierced=lines.bone_crosses | (pieces(mesh, query, vertices, faces, contacts.distances, lines) > 1),
+        pierced=pierced,
         contact_area_cm2=1e4 * (areas * against).sum(1).float(),
         opposition=opposition(contacts.touching, normals, contacts.finger),
         crossing_mm=crossing(hand, posed).clamp_min(0),
@@ -120,6 +123,8 @@ def pieces(
         distances: (N, V) metres, signed, from the vertices to it.
         lines: in the hands; None where their bones are unknown.
     """
+    if not len(vertices):
+        return torch.zeros(0, dtype=torch.int64)
     lids = Lids(vertices.shape[1], faces.numpy())
     closed = torch.from_numpy(lids.with_middles(vertices.numpy()))
     middles = closed[:, vertices.shape[1] :]

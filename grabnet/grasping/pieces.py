@@ -10,7 +10,6 @@ from scipy.sparse.csgraph import connected_components
 
 from grabnet.geometry.intersections import Crossings, MovingMesh, find_crossings
 
-
 _ON_SURFACE = 1e-6  # metres, within which rounding decides on which side a vertex is
 
 
@@ -27,27 +26,35 @@ def count_pieces(hand: MovingMesh, solid: MovingMesh, distances: np.ndarray, lin
         lines: (L, 2) pairs joined by such a line: vertices of the hand, and numbers from V on
             for points inside it.
     """
-    crossings, inside = find_crossings(hand, solid), distances < 0
+    inside = distances < 0
+    first_ring = max(len(hand.vertices), int(lines.max(initial=0)) + 1)
+    if len(np.unique(_joined([lines], first_ring)[: len(inside)][~inside])) < 2:  # so for hands that hold as hands do
+        return int(not inside.all())
+    crossings = find_crossings(hand, solid)
     if not crossings.n_rings:
         return int(not inside.all())
-    first_ring = max(len(hand.vertices), int(lines.max(initial=0)) + 1)
     n = first_ring + crossings.n_rings
     cuts = _Cuts.of(hand, crossings, False)
-    inside = np.where(np.abs(distances) < _ON_SURFACE, cuts.enclosed(hand), inside)
-    skin = _along(hand, cuts, ~inside, 0, first_ring, is_inside=False)
-    links = [skin, _within_faces(hand, crossings, inside, first_ring), lines]
+    inside = np.where(np.abs(distances) < _ON_SURFACE, cuts.enclosed(np.arange(len(inside))), inside)
+    skin = _along(cuts, ~inside, 0, first_ring, is_inside=False)
+    links = [lines, skin, _within_faces(hand, crossings, inside, first_ring)]
     outside = np.unique(np.append(skin, (~inside).nonzero()[0]))
-    if len(np.unique(_joined(links, n)[outside])) > 1:  # seldom, and the object may be large
+    if len(np.unique(_joined(links, n)[outside])) > 1:
+        # Vertices beyond the hand are as good as one.
+        low, high = hand.bounds
+        near = ((solid.vertices >= low) & (solid.vertices <= high)).all(1)
+        number = near.cumsum() * near
         cuts = _Cuts.of(solid, crossings, True)
-        links.append(_along(solid, cuts, cuts.enclosed(solid), n, first_ring, is_inside=True))
+        links.append(_along(cuts, cuts.enclosed(number), n, first_ring, is_inside=True))
     return len(np.unique(_joined(links, n + len(solid.vertices))[outside]))
 
 
 @dataclass(frozen=True)
 class _Cuts:
-    """C places where edges of one surface pass the other, edge by edge and in the order along it, from `low` to `high`.
+    """C places where edges of one surface pass the other, edge by edge and in the order along it.
 
-    edge, ring: (C,). rise: (C,) 1 into the other solid, -1 out of it. first, last: (C,) bool, of its edge.
+    edge, ring: (C,). rise: (C,) 1 into the other solid, -1 out of it. first, last: (C,) bool, of its edge. low, high:
+    (C,) where the edge starts and ends. whole: (E, 2) vertices of the edges that are not cut.
     """
 
     edge: np.ndarray
@@ -55,6 +62,9 @@ class _Cuts:
     rise: np.ndarray
     first: np.ndarray
     last: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    whole: np.ndarray
 
     @classmethod
     def of(cls, mesh: MovingMesh, crossings: Crossings, of_object: bool) -> _Cuts:
@@ -63,24 +73,26 @@ class _Cuts:
         edge = crossings.edge[mine]
         other = edge[1:] != edge[:-1]
         first, last = (np.append(True, other), np.append(other, True)) if len(edge) else (edge > 0, edge > 0)
-        return cls(edge, crossings.ring[mine], np.where(crossings.entering[mine], 1, -1), first, last)
+        rise = np.where(crossings.entering[mine], 1, -1)
+        whole = np.ones(len(mesh.edges), bool)
+        whole[edge] = False
+        return cls(edge, crossings.ring[mine], rise, first, last, *mesh.edges[edge].T, mesh.edges[whole])
 
-    def uncut(self, mesh: MovingMesh) -> np.ndarray:
-        """(E,) bool, of the surface's edges."""
-        return ~np.isin(np.arange(len(mesh.edges)), self.edge)
+    def enclosed(self, number: np.ndarray) -> np.ndarray:
+        """(V,) bool: vertices inside the other solid, by the cuts about the patch of the surface that each lies in.
 
-    def enclosed(self, mesh: MovingMesh) -> np.ndarray:
-        """(V,) bool: vertices inside the other solid, by the cuts about the patch of the surface that each lies in."""
-        patch = _joined([mesh.edges[self.uncut(mesh)]], len(mesh.vertices))
-        votes = np.zeros(len(mesh.vertices))
-        np.add.at(votes, patch[mesh.edges[self.edge[self.first], 0]], -self.rise[self.first])
-        np.add.at(votes, patch[mesh.edges[self.edge[self.last], 1]], self.rise[self.last])
+        Args:
+            number: (V,) of each vertex; what shares one counts as one.
+        """
+        ends = number[self.whole]
+        patch = _joined([ends[ends[:, 0] != ends[:, 1]]], int(number.max()) + 1)[number]
+        votes = np.zeros(len(number), int)
+        np.add.at(votes, patch[self.low[self.first]], -self.rise[self.first])
+        np.add.at(votes, patch[self.high[self.last]], self.rise[self.last])
         return votes[patch] > 0
 
 
-def _along(
-    mesh: MovingMesh, cuts: _Cuts, kept: np.ndarray, first_vertex: int, first_ring: int, is_inside: bool
-) -> np.ndarray:
+def _along(cuts: _Cuts, kept: np.ndarray, first_vertex: int, first_ring: int, is_inside: bool) -> np.ndarray:
     """(L, 2) what holds together along a surface's edges on one side of the other surface: vertices and rings.
 
     Args:
@@ -88,25 +100,24 @@ def _along(
         first_vertex, first_ring: how they are numbered.
         is_inside: which side.
     """
-    low, high = mesh.edges[cuts.edge].T
     of_edge = cuts.first.cumsum() - 1
     total = cuts.rise.cumsum()
     after = total - (total - cuts.rise)[cuts.first][of_edge]
     # How often the other solid contains the start of the edge: at least so often that no part is in it less than never.
     inside = (kept == is_inside).astype(int)
-    start = inside[low[cuts.first]]
+    start = inside[cuts.low[cuts.first]]
     np.maximum.at(start, of_edge, -after)
-    start = np.maximum(start, inside[high[cuts.last]] - after[cuts.last])
+    start = np.maximum(start, inside[cuts.high[cuts.last]] - after[cuts.last])
     goes_on = (after + start[of_edge] > 0) == is_inside
     starts = (start > 0) == is_inside
     ring = first_ring + cuts.ring
     next_ring = goes_on[:-1] & ~cuts.last[:-1]
     return np.concatenate(
         [
-            first_vertex + mesh.edges[cuts.uncut(mesh) & kept[mesh.edges].all(1)],
-            np.stack([first_vertex + low, ring], 1)[cuts.first][starts],
+            first_vertex + cuts.whole[kept[cuts.whole].all(1)],
+            np.stack([first_vertex + cuts.low, ring], 1)[cuts.first][starts],
             np.stack([ring, np.roll(ring, -1)], 1)[:-1][next_ring],
-            np.stack([ring, first_vertex + high], 1)[cuts.last & goes_on],
+            np.stack([ring, first_vertex + cuts.high], 1)[cuts.last & goes_on],
         ]
     )
 
