@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -24,6 +25,8 @@ from grabnet.geometry.object_mesh import load_object
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.rotations import about_z, quaternion_to_matrix
 from grabnet.geometry.sdf_grid import AtlasConfig, SDFGrid
+from grabnet.grasping.grasp_hand import GraspHand
+from grabnet.grasping.measures import measure_grasps
 from grabnet.models.generator import GraspGenerator
 from grabnet.models.trained import find_model, load_model
 
@@ -143,6 +146,16 @@ class Grabber(nn.Module):
         contacts = Contacts(
             distances=drawn.distances.cpu(), finger=self.finger.cpu(), contact_distance=contact_distance
         )
+        faces = (self.hand.faces if side == "right" else self.hand.faces.flip(1)).cpu()
+        model = deepcopy(self.hand).cpu()
+        measures = measure_grasps(
+            GraspHand(model, Anatomy.of(model), betas.cpu()),
+            placed.solid,
+            drawn.in_object_frame.cpu(),
+            faces,
+            (placement.mirror @ drawn.parameters.hand_pose @ placement.mirror).cpu(),
+            contacts,
+        )
         return Grasps(
             mesh=placed.mesh,
             to_object=placed.to_object,
@@ -152,8 +165,9 @@ class Grabber(nn.Module):
             betas=betas.expand(n, -1).cpu(),
             object_transform=drawn.transforms.cpu(),
             vertices=(drawn.vertices / placement.scale).cpu(),
-            faces=(self.hand.faces if side == "right" else self.hand.faces.flip(1)).cpu(),
+            faces=faces,
             contacts=contacts,
+            measures=measures,
         )
 
     def _betas(self, betas: Tensor | Sequence[float] | None) -> Tensor:

@@ -17,6 +17,8 @@ from grabnet.errors import UserError
 from grabnet.generation.formats import FORMATS
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.rotations import matrix_to_axis_angle
+from grabnet.grasping import measures
+from grabnet.grasping.measures import GraspMeasures
 from grabnet.io.files import filling, write_json
 
 # What a folder of results holds. The last one is written last: where it lies, the others are complete.
@@ -39,6 +41,7 @@ class Grasps:
             as the networks saw the object, origin at its centre (`Conventions`).
         vertices: (N, V, 3) hands in the mesh's frame and units. faces: (F, 3), outward.
         contacts: of the hands with the mesh; distances are exact within 1 cm of it.
+        measures: of the same, beyond contact.
     """
 
     mesh: Mesh
@@ -51,6 +54,7 @@ class Grasps:
     vertices: Tensor
     faces: Tensor
     contacts: Contacts
+    measures: GraspMeasures
 
     def __len__(self) -> int:
         return len(self.vertices)
@@ -65,6 +69,7 @@ class Grasps:
             self,
             parameters=self.parameters.select(slice(n)),
             contacts=replace(self.contacts, distances=self.contacts.distances[:n]),
+            measures=self.measures.select(slice(n)),
             **{name: getattr(self, name)[:n] for name in per_grasp},
         )
 
@@ -80,19 +85,21 @@ class Grasps:
 
     def summary(self) -> str:
         """The grasps in a line for the screen."""
-        contacts = self.contacts
+        contacts, measures = self.contacts, self.measures
         return (
             f"{len(self)} grasps, thumb and a finger touch in {contacts.pinched.float().mean():.0%}, "
-            f"deepest penetration {1000 * contacts.max_penetration.mean():.1f} mm on average"
+            f"{measures.pierced.float().mean():.0%} go through the object; on average the deepest vertex is "
+            f"{1000 * contacts.max_penetration.mean():.1f} mm inside, and {measures.through_mm.mean():.1f} mm through walls"
         )
 
     def report(self) -> list[dict[str, Any]]:
-        """One record per grasp, ready for JSON: penetration in mm, contact vertices by finger, index and seed."""
+        """One record per grasp, ready for JSON: index, seed, penetration in mm, contact vertices by finger, measures."""
         contacts = self.contacts
         rows = zip(
             contacts.max_penetration.tolist(),
             contacts.mean_penetration.tolist(),
             contacts.contact_vertices.tolist(),
+            self.measures.report(),
             strict=True,
         )
         return [
@@ -101,9 +108,10 @@ class Grasps:
                 "seed": self.seed,
                 "max_penetration_mm": round(deepest * 1000, 3),
                 "mean_penetration_mm": round(mean * 1000, 3),
+                **measured,
                 "contact_vertices": dict(zip((*FINGERS, "palm"), counts, strict=True)),
             }
-            for i, (deepest, mean, counts) in enumerate(rows)
+            for i, (deepest, mean, counts, measured) in enumerate(rows)
         ]
 
     def save(self, folder: str | Path, formats: Sequence[str] = ("glb",), **record: Any) -> None:
@@ -128,7 +136,10 @@ class Grasps:
         for name in formats:
             (folder / "meshes").mkdir(exist_ok=True)
             FORMATS[name](folder / "meshes", self.mesh, self.vertices.numpy(), self.faces.numpy())
-        definitions = {"definitions": DEFINITIONS, "contact_distance": self.contacts.contact_distance}
+        definitions = {
+            "definitions": DEFINITIONS | measures.DEFINITIONS,
+            "contact_distance": self.contacts.contact_distance,
+        }
         write_json(folder / "grasps.json", {**record, **definitions, "grasps": self.report()})
 
     def arrays(self) -> dict[str, np.ndarray]:

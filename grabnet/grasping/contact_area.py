@@ -26,15 +26,14 @@ class ContactArea:
         self.area = np.linalg.norm(normals, axis=1)
         self.normals = normals
 
-    def __call__(self, hand: MovingMesh, n_skin: int) -> float:
-        """Return m², of a hand whose first `n_skin` faces are skin, the rest closing the wrist."""
+    def __call__(self, hand: MovingMesh) -> float:
+        """Return m², of a hand open at the wrist."""
         low, high = hand.bounds
         near = ((self.vertices > low - REACH) & (self.vertices < high + REACH)).all(1).nonzero()[0]
         face, _ = hand.closest(self.vertices[near], REACH)
-        skin = (face >= 0) & (face < n_skin)
-        near, face = near[skin], face[skin]
+        near, face = near[face >= 0], face[face >= 0]
         a, b, c = np.moveaxis(hand.vertices[hand.faces[face]].astype(np.float64), 1, 0)
         skin_normals = np.zeros((len(self.vertices), 3))
         skin_normals[near] = np.cross(b - a, c - a)
-        faces_against = np.einsum("fci,fi->fc", skin_normals[self.faces], self.normals).min(1, initial=0) < 0
-        return float(self.area[faces_against].sum())
+        against = np.einsum("fci,fi->fc", skin_normals[self.faces], self.normals).min(1) < 0
+        return float(self.area[against].sum())

@@ -44,7 +44,7 @@ class Interior:
         aim = inner.new_zeros(len(inner), hand.weights.shape[1], 4)
         aim[torch.arange(len(inner)), bone] = inner
         weights = aim.flatten(1) @ torch.linalg.pinv(shares, rtol=1e-6)
-        chain = _chain(centres.cpu(), bone, torch.tensor(hand.parents))
+        chain = _chain(centres.cpu(), bone)
         return cls(weights.to(hand.rest), hand.foot, chain.to(hand.rest.device))
 
     def points(self, vertices: Tensor) -> Tensor:
@@ -52,9 +52,9 @@ class Interior:
         return self.weights.to(vertices) @ vertices
 
 
-def _chain(centres: Tensor, bone: Tensor, parents: Tensor) -> Tensor:
+def _chain(centres: Tensor, bone: Tensor) -> Tensor:
     """(S - 1, 2) the shortest tree, of edges within a bone or between one and that on which it hangs."""
-    above = parents[bone]
+    above = torch.where((bone - 1) % 3 > 0, bone - 1, 0)  # first joints of fingers hang on the wrist, 0
     joined = (bone.unsqueeze(1) == bone) | (above.unsqueeze(1) == bone) | (bone.unsqueeze(1) == above)
     tree = minimum_spanning_tree((torch.cdist(centres, centres) * joined).double().numpy()).tocoo()
     return torch.from_numpy(np.stack([tree.row, tree.col], 1).astype(np.int64))

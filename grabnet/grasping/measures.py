@@ -72,7 +72,6 @@ class GraspMeasures:
 def measure_grasps(
     hand: GraspHand,
     mesh: Mesh,
-    query: MeshQuery,
     vertices: Tensor,
     faces: Tensor,
     hand_pose: Tensor,
@@ -83,12 +82,12 @@ def measure_grasps(
     Args:
         hand: of the hands' model, in any shape of it.
         mesh: the object, metres.
-        query: of the same.
         vertices: (N, V, 3) metres, in its frame: hands of that model, or mirror images of such.
         faces: (F, 3) of the hands, facing outwards: of mirror images turned round.
         hand_pose: (N, 15, 3, 3) rotations of that model's joints; for mirror images those of the hand in the mirror.
         contacts: of the same hands with the object.
     """
+    query = MeshQuery(mesh)
     lines = Lines.of(Interior.of(hand), query, vertices, contacts.distances)
     near = contacts.distances.abs() < _NEAR
     nearest = near | contacts.touching

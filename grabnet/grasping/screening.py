@@ -1,4 +1,4 @@
-"""The cheap half of what grasps are like, for choosing among many candidates: from interpolated distances, in batches."""
+"""The cheap half of what grasps are like, to choose among many candidates: by interpolated distances, in batches."""
 
 from __future__ import annotations
 
