@@ -18,7 +18,7 @@ def caption(record: Mapping[str, Any]) -> str:
         record: of `Grasps.report`.
     """
     touching = [finger for finger in FINGERS if record["contact_vertices"][finger]]
-    n = len(touching) - ("thumb" in touching)
+    n = len(touching) - ("thumb" in touching)  # without the thumb
     fingers = f"{n} finger{'s' * (n != 1)}"
     if not touching:
         held = "only the palm touches" if record["contact_vertices"]["palm"] else "nothing touches"
@@ -27,7 +27,8 @@ def caption(record: Mapping[str, Any]) -> str:
     elif "thumb" not in touching:
         held = f"{fingers}, no thumb"
     else:
-        held = f"{'held by' if record['opposition'] > _HOLDS else 'pushed by'} thumb + {fingers}"
-    deep = f", {record['max_penetration_mm']:.1f} mm deep" if record["max_penetration_mm"] >= 0.05 else ""
-    through = f", goes through ({record['through_mm']:.0f} mm)" if record["pierced"] else ""
-    return held + deep + through
+        how = "" if record["pierced"] else "held by " if record["opposition"] > _HOLDS else "pushed by "
+        held = f"{how}thumb + {fingers}"
+    if record["pierced"]:
+        return f"{held}, {record['through_mm']:.0f} mm through the object"
+    return f"{held}, {record['max_penetration_mm']:.1f} mm deep"

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from grabnet.body.anatomy import FINGERS
 from grabnet.body.hand import HandParameters
-from grabnet.contact.contacts import DEFINITIONS, Contacts
+from grabnet.contact import contacts
+from grabnet.contact.contacts import Contacts
 from grabnet.errors import UserError
 from grabnet.generation.formats import FORMATS
 from grabnet.geometry.mesh import Mesh
@@ -85,20 +86,19 @@ class Grasps:
 
     def summary(self) -> str:
         """The grasps in a line for the screen."""
-        contacts, measures = self.contacts, self.measures
+        pinched, pierced = self.contacts.pinched.float().mean(), self.measures.pierced.float().mean()
+        deepest, through = 1000 * self.contacts.max_penetration.mean(), self.measures.through_mm.mean()
         return (
-            f"{len(self)} grasps, thumb and a finger touch in {contacts.pinched.float().mean():.0%}, "
-            f"{measures.pierced.float().mean():.0%} go through the object; on average the deepest vertex is "
-            f"{1000 * contacts.max_penetration.mean():.1f} mm inside, and {measures.through_mm.mean():.1f} mm through walls"
+            f"{len(self)} grasps, thumb and a finger touch in {pinched:.0%}, {pierced:.0%} go through the object; on "
+            f"average {deepest:.1f} mm deep at the deepest vertex and {through:.1f} mm through walls"
         )
 
     def report(self) -> list[dict[str, Any]]:
-        """One record per grasp, ready for JSON: index, seed, penetration in mm, contact vertices by finger, measures."""
-        contacts = self.contacts
+        """One record per grasp, ready for JSON: index, seed, penetration, measures, contact vertices by finger."""
         rows = zip(
-            contacts.max_penetration.tolist(),
-            contacts.mean_penetration.tolist(),
-            contacts.contact_vertices.tolist(),
+            self.contacts.max_penetration.tolist(),
+            self.contacts.mean_penetration.tolist(),
+            self.contacts.contact_vertices.tolist(),
             self.measures.report(),
             strict=True,
         )
@@ -136,11 +136,9 @@ class Grasps:
         for name in formats:
             (folder / "meshes").mkdir(exist_ok=True)
             FORMATS[name](folder / "meshes", self.mesh, self.vertices.numpy(), self.faces.numpy())
-        definitions = {
-            "definitions": DEFINITIONS | measures.DEFINITIONS,
-            "contact_distance": self.contacts.contact_distance,
-        }
-        write_json(folder / "grasps.json", {**record, **definitions, "grasps": self.report()})
+        about = {"definitions": contacts.DEFINITIONS | measures.DEFINITIONS}
+        about |= {"contact_distance": self.contacts.contact_distance}
+        write_json(folder / "grasps.json", {**record, **about, "grasps": self.report()})
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What grasps.npz holds, as the field's hand models take it (metres, radians, along the axes of the mesh).
