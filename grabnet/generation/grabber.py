@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import asdict, is_dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,6 +31,8 @@ from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.rotations import about_z, quaternion_to_matrix
 from grabnet.geometry.sdf_grid import AtlasConfig, SDFGrid
 from grabnet.grasping.grasp_hand import GraspHand
+from grabnet.grasping.interior import Interior
+from grabnet.grasping.measures import measure_grasps
 from grabnet.grasping.optimiser import GraspOptimiser, OptimiserConfig
 from grabnet.models.generator import GraspGenerator
 from grabnet.models.trained import find_model, load_model
@@ -181,8 +184,19 @@ class Grabber(nn.Module):
         held = GraspHand(self.hand, Anatomy.of(self.hand), betas)
         kept, ranked = self._kept(objects, held, pools, seed, rest)
         parameters, vertices, distances = self._to_mesh(placement, objects, kept, rest)
-        _measure(MeshQuery(placed.solid, device), placement.to_object_frame(vertices), distances)
+        in_object_frame = placement.to_object_frame(vertices)
+        _measure(MeshQuery(placed.solid, device), in_object_frame, distances)
         contacts = Contacts(distances=distances.cpu(), finger=self.finger.cpu(), contact_distance=contact_distance)
+        faces = (self.hand.faces if side == "right" else self.hand.faces.flip(1)).cpu()
+        model = deepcopy(self.hand).cpu()
+        measures = measure_grasps(
+            GraspHand(model, Anatomy.of(model), betas.cpu()),
+            placed.solid,
+            in_object_frame.cpu(),
+            faces,
+            kept.hands.hand_pose.cpu(),
+            contacts,
+        )
         return Grasps(
             mesh=placed.mesh,
             to_object=placed.to_object,
@@ -192,8 +206,9 @@ class Grabber(nn.Module):
             betas=betas.expand(n, -1).cpu(),
             object_transform=placement.transforms(kept.ways).cpu(),
             vertices=(vertices / placement.scale).cpu(),
-            faces=(self.hand.faces if side == "right" else self.hand.faces.flip(1)).cpu(),
+            faces=faces,
             contacts=contacts,
+            measures=measures,
             ranked=ranked,
         )
 
@@ -211,11 +226,12 @@ class Grabber(nn.Module):
     ) -> tuple[Candidates, Ranked | None]:
         """A hand of each of the pools, in the right-hand world: the best ones where there are several for each."""
         optimiser = GraspOptimiser(held, self.optimiser) if self.optimise else None
+        interior = Interior.of(held)
         drawn, scores, keypoints = [], [], []
         for batch in draw(self.generator, objects, int(pools[-1]), self.batch_size, seed, rest, optimiser):
             drawn.append(batch)
             if self.candidates > 1:
-                judged = judge(held, self.hand, batch.hands, rest, objects.select(batch.ways), self.ranking)
+                judged = judge(held, interior, self.hand, batch.hands, rest, objects.select(batch.ways), self.ranking)
                 scores.append(judged.parts)
                 keypoints.append(judged.keypoints)
         all_drawn = Candidates.cat(drawn)

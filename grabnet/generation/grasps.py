@@ -12,12 +12,15 @@ from torch import Tensor
 
 from grabnet.body.anatomy import FINGERS
 from grabnet.body.hand import HandParameters
-from grabnet.contact.contacts import DEFINITIONS, Contacts
+from grabnet.contact import contacts
+from grabnet.contact.contacts import Contacts
 from grabnet.errors import UserError
 from grabnet.generation.formats import FORMATS
 from grabnet.generation.ranking import Ranked
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.rotations import matrix_to_axis_angle
+from grabnet.grasping import measures
+from grabnet.grasping.measures import GraspMeasures
 from grabnet.io.files import filling, write_json
 
 # What a folder of results holds. The last one is written last: where it lies, the others are complete.
@@ -40,6 +43,7 @@ class Grasps:
             as the networks saw the object, origin at its centre (`Conventions`).
         vertices: (N, V, 3) hands in the mesh's frame and units. faces: (F, 3), outward.
         contacts: of the hands with the mesh; distances are exact within 1 cm of it.
+        measures: of the same, beyond contact.
         ranked: why these were kept; None where they were not chosen from more.
     """
 
@@ -53,6 +57,7 @@ class Grasps:
     vertices: Tensor
     faces: Tensor
     contacts: Contacts
+    measures: GraspMeasures
     ranked: Ranked | None = None
 
     def __len__(self) -> int:
@@ -68,6 +73,7 @@ class Grasps:
             self,
             parameters=self.parameters.select(slice(n)),
             contacts=replace(self.contacts, distances=self.contacts.distances[:n]),
+            measures=self.measures.select(slice(n)),
             ranked=self.ranked and self.ranked.first(n),
             **{name: getattr(self, name)[:n] for name in per_grasp},
         )
@@ -84,20 +90,21 @@ class Grasps:
 
     def summary(self) -> str:
         """The grasps in a line for the screen."""
-        contacts = self.contacts
+        pinched, pierced = self.contacts.pinched.float().mean(), self.measures.pierced.float().mean()
+        deepest, through = 1000 * self.contacts.max_penetration.mean(), self.measures.through_mm.mean()
         return (
-            f"{len(self)} grasps, thumb and a finger touch in {contacts.pinched.float().mean():.0%}, "
-            f"deepest penetration {1000 * contacts.max_penetration.mean():.1f} mm on average"
+            f"{len(self)} grasps, thumb and a finger touch in {pinched:.0%}, {pierced:.0%} go through the object; on "
+            f"average {deepest:.1f} mm deep at the deepest vertex and {through:.1f} mm through walls"
         )
 
     def report(self) -> list[dict[str, Any]]:
-        """One record per grasp, ready for JSON: penetration in mm, contact vertices by finger, index and seed; where it
-        was chosen from several candidates, by what score."""
-        contacts = self.contacts
+        """One record per grasp, ready for JSON: index, seed, penetration, measures, contact vertices by finger; and by
+        what score it was chosen, where there were several candidates."""
         rows = zip(
-            contacts.max_penetration.tolist(),
-            contacts.mean_penetration.tolist(),
-            contacts.contact_vertices.tolist(),
+            self.contacts.max_penetration.tolist(),
+            self.contacts.mean_penetration.tolist(),
+            self.contacts.contact_vertices.tolist(),
+            self.measures.report(),
             strict=True,
         )
         ranked = self.ranked.report() if self.ranked else [{}] * len(self)
@@ -107,10 +114,11 @@ class Grasps:
                 "seed": self.seed,
                 "max_penetration_mm": round(deepest * 1000, 3),
                 "mean_penetration_mm": round(mean * 1000, 3),
+                **measured,
                 "contact_vertices": dict(zip((*FINGERS, "palm"), counts, strict=True)),
                 **ranked[i],
             }
-            for i, (deepest, mean, counts) in enumerate(rows)
+            for i, (deepest, mean, counts, measured) in enumerate(rows)
         ]
 
     def save(self, folder: str | Path, formats: Sequence[str] = ("glb",), **record: Any) -> None:
@@ -135,8 +143,9 @@ class Grasps:
         for name in formats:
             (folder / "meshes").mkdir(exist_ok=True)
             FORMATS[name](folder / "meshes", self.mesh, self.vertices.numpy(), self.faces.numpy())
-        definitions = {"definitions": DEFINITIONS, "contact_distance": self.contacts.contact_distance}
-        write_json(folder / "grasps.json", {**record, **definitions, "grasps": self.report()})
+        about = {"definitions": contacts.DEFINITIONS | measures.DEFINITIONS}
+        about |= {"contact_distance": self.contacts.contact_distance}
+        write_json(folder / "grasps.json", {**record, **about, "grasps": self.report()})
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What grasps.npz holds, as the field's hand models take it (metres, radians, along the axes of the mesh).

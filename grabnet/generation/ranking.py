@@ -30,8 +30,8 @@ class RankingConfig:
     through: float = 2.0
     through_free: float = 2.0
     bone: float = 2.0
-    bone_share: float = 0.45
     crossing: float = 1.0
+    joint: float = 0.2
     unheld: float = 20.0
     force: float = 20.0
     finger: float = 0.8

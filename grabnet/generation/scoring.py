@@ -7,14 +7,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from grabnet.body.anatomy import FINGERS
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.contact.contacts import Contacts
 from grabnet.generation.ranking import RankingConfig
 from grabnet.geometry.placed import PlacedObjects
 from grabnet.grasping.forces import ForceConfig, HeldForces
 from grabnet.grasping.grasp_hand import GraspHand, GraspPose
+from grabnet.grasping.interior import Interior
+from grabnet.grasping.screening import screen
 from grabnet.grasping.seen import Seen
-from grabnet.grasping.walls import crossing, depth_through_walls
 
 # mm, over which a pad's contact is spread among its vertices, and steps until contact forces are found.
 _SOFTNESS, _FORCE_STEPS = 1.5, 32
@@ -30,6 +32,7 @@ class Judged(NamedTuple):
 
 def judge(
     held: GraspHand,
+    interior: Interior,
     hand: HandModel,
     hands: HandParameters,
     rest: Tensor,
@@ -40,6 +43,7 @@ def judge(
 
     Args:
         held: the hand's shape.
+        interior: of the same.
         hand: its model.
         hands: to be judged.
         rest: (V, 3) rest vertices of the shape, metres.
@@ -47,21 +51,19 @@ def judge(
         config: weights.
     """
     vertices, joints = hand(hands, rest)
-    distances = objects.signed_distances(vertices)
-    contacts = Contacts(distances=distances, finger=held.anatomy.finger)
-    pose = held.pose_of(hands)
-    posed = held.posed(pose)
-    bones = 1e3 * (config.bone_share * held.radii - objects.signed_distances(posed.spheres)).amax(1)
-    through = depth_through_walls(objects.signed_distances, held, posed).amax(1)
-    fingers = (contacts.contact_vertices[:, :5] > 0).sum(1)
+    posed = held.skin_only(vertices, interior.points(vertices))
+    screened = screen(held, interior, posed, hands.hand_pose, objects.surface)
+    contacts = Contacts(distances=screened.distances, finger=held.anatomy.finger)
+    fingers = contacts.contact_vertices[:, : len(FINGERS)] > 0
     parts = {
-        "depth": config.depth * (1e3 * contacts.max_penetration - config.depth_free).relu(),
-        "through": config.through * (through - config.through_free).relu(),
-        "bone": config.bone * bones.relu(),
-        "crossing": config.crossing * crossing(held, posed).relu(),
+        "depth": config.depth * (screened.depth_mm - config.depth_free).relu(),
+        "through": config.through * (screened.through_mm - config.through_free).relu(),
+        "bone": config.bone * screened.bone_mm,
+        "crossing": config.crossing * screened.crossing_mm,
+        "joints": config.joint * screened.joint_excess_deg,
         "unheld": config.unheld * (~contacts.pinched).float(),
-        "force": config.force * _unmet(held, pose, objects),
-        "fingers": -config.finger * fingers.float(),
+        "force": config.force * _unmet(held, held.pose_of(hands), objects),
+        "fingers": -config.finger * fingers.sum(1).float(),
     }
     keypoints = torch.cat([joints, vertices[:, held.anatomy.tips]], 1)
     return Judged(parts, keypoints @ objects.rotations)
