@@ -23,21 +23,26 @@ class DescentConfig:
     angle_rate: float = 0.03  # radians
     final_rate: float = 0.03  # of the rates, reached by a cosine
     momentum: float = 0.9
-    memory: float = 0.98
+    memory: float = 0.95
     softness: tuple[float, float] = (6.0, 1.5)  # mm, over which a pad's contact is spread, at start and end
-    firmness: tuple[float, float] = (0.35, 1.45)  # factor on all overlap with the object, at start and end
+    firmness: tuple[float, float] = (0.2, 6.0)  # factor on all overlap with the object, at start and end
 
 
 # (pose, softness, firmness, iteration) → (B,) energies.
 Energy = Callable[[GraspPose, float, float, int], Tensor]
 
 
-def descend(start: GraspPose, energy: Energy, limits: Tensor, config: DescentConfig) -> GraspPose:
-    """Hands of less energy, whose angles stay within limits (A, 2); nothing waits for the device on the way."""
-    wrist, angles = start.wrist.clone().requires_grad_(), start.angles.clamp(*limits.T).requires_grad_()
-    turn = torch.zeros_like(start.wrist).requires_grad_()
+def descend(start: GraspPose, frame: Tensor, energy: Energy, limits: Tensor, config: DescentConfig) -> GraspPose:
+    """Hands of less energy, whose angles stay within limits (A, 2); nothing waits for the device on the way.
+
+    The wrist moves and turns along the hand's own directions, the rows of `frame` (3, 3), `Anatomy.frame`: Adam's steps
+    differ by direction, and must not depend on the coordinates of model or object.
+    """
+    move, turn = (torch.zeros_like(start.wrist).requires_grad_() for _ in range(2))
+    angles = start.angles.clamp(*limits.T).requires_grad_()
+    directions = start.rotation @ frame.mT
     rates = (config.wrist_rate, config.rotation_rate, config.angle_rate)
-    groups = [{"params": [x], "lr": rate} for x, rate in zip((wrist, turn, angles), rates, strict=True)]
+    groups = [{"params": [x], "lr": rate} for x, rate in zip((move, turn, angles), rates, strict=True)]
     adam = torch.optim.Adam(groups, betas=(config.momentum, config.memory))
 
     def share_of_rate(iteration: int) -> float:
@@ -47,7 +52,8 @@ def descend(start: GraspPose, energy: Energy, limits: Tensor, config: DescentCon
     schedule = torch.optim.lr_scheduler.LambdaLR(adam, share_of_rate)
 
     def pose() -> GraspPose:
-        return GraspPose(start.rotation @ axis_angle_to_matrix(turn), wrist, angles)
+        wrist = start.wrist + (directions @ move.unsqueeze(-1)).squeeze(-1)
+        return GraspPose(start.rotation @ axis_angle_to_matrix(turn @ frame), wrist, angles)
 
     with torch.enable_grad():
         for iteration in range(config.iterations):

@@ -14,10 +14,10 @@ from grabnet.grasping.seen import Pads
 class ForceConfig:
     """How contacts bear a load of weight 1."""
 
-    friction: float = 0.8  # dry skin on common materials is .5–1
+    friction: float = 0.5  # dry skin on common materials is .5–1
     reach: float = 3.0  # mm over which a pad's contact fades with its distance
     arm: float = 0.05  # metres: a torque counts as much as a force at this distance
-    effort: float = 0.02  # squared contact forces against squared load left over
+    effort: float = 0.005  # squared contact forces against squared load left over
     iterations: int = 8  # of the forces, at each look
 
 

@@ -64,7 +64,6 @@ class GraspHand:
         rest (V, 3), joints (16, 3): the shape at rest. normals (V, 3): at rest, unit.
         radii (S,), sphere_bone (S,): the spheres that fill fingers and palm, and the bone each moves with.
         apart (S, S): metres that the spheres' centres keep from each other, see `clearance`.
-        overlap: of the spheres with each other, mm² of sphere centres.
         sample (N,): vertices that stand for the whole skin while optimising: P pads of K vertices, then a share of the
             others. sampled_once (N,): False where a vertex only fills up a pad that has fewer.
         pads (P, K): their place in `sample`; pad_mask (P, K): which of them count. pad_names (P,).
@@ -79,7 +78,7 @@ class GraspHand:
 
         centres, self.radii, self.sphere_bone = fill(self.rest, self.joints, anatomy)
         self.apart = clearance(centres, self.radii, self.sphere_bone)
-        self.overlap = SelfOverlap(self.apart)
+        self._pairs = SelfOverlap(self.apart)
         backward = self.joints[0] - self.joints[[1, 4, 7, 10]].mean(0)
         backward = backward / backward.norm()
         forearm = self.joints[0] + backward * self.rest.new_tensor(FOREARM_REACH).unsqueeze(1)
@@ -126,6 +125,10 @@ class GraspHand:
         points, facing = everything.split([n_points, self.pads.numel()], 1)
         parts = points.split([len(self.sample), len(self.radii), len(FOREARM_REACH)], 1)
         return points, Sampled(*parts, facing.unflatten(1, self.pads.shape))
+
+    def self_overlap(self, spheres: Tensor) -> Tensor:
+        """(B,) mm² by which sphere centres (B, S, 3) of different fingers, or of finger and palm, are too near."""
+        return self._pairs(spheres)
 
     def parameters(self, pose: GraspPose) -> HandParameters:
         """The same poses as parameters of the hand model."""

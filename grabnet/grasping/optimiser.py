@@ -20,26 +20,24 @@ from grabnet.grasping.surface import Surface
 class OptimiserConfig(DescentConfig, ObstacleConfig):
     """Descent, and the weights of the energy's terms; lengths in millimetres."""
 
-    contact: float = 1.0  # per mm of a pad's distance
-    contact_target: float = -0.7  # pads sink in a little: skin yields
-    furthest: float = 40.0  # a pad further away than this no longer pulls
+    contact: float = 2.0  # per mm of a pad's distance
+    contact_target: float = -1.2  # pads sink in a little: skin yields
+    furthest: float = 1000.0  # a pad further away than this no longer pulls
+    phalanges: float = 1.0  # share of the pads of proximal and middle phalanges, fingertips having 1
+    palm: float = 0.6  # share of the palm's pads and of the index finger's side
     near: float = 12.0  # over which a pad's share fades with its distance at the start
-    skin_slack: float = 0.8
+    skin_slack: float = 1.3
     self_overlap: float = 1.0  # per mm² of overlap between fingers
     alignment: float = 3.0  # pads face the surface they touch
     opposition: float = 3.0  # thumb and fingers press against each other
-    force: float = 20.0  # per squared share of the load that contacts leave
+    force: float = 5.0  # per squared share of the load that contacts leave
+    knuckle_flexion: float = 1.2  # radians at most, of fingers: beyond that the skin folds into itself
     posture: float = 2.0  # per rad² of an angle from the start
     wrist: float = 0.5  # per square of the wrist's way from the start, in units of `wrist_scale`
     wrist_scale: float = 20.0
     turn: float = 5.5  # per rad² from the start (2 − 2 cosine)
     forces: ForceConfig = field(default_factory=ForceConfig)
     force_every: int = 4  # iterations between looks at the contact forces
-
-
-# Which pads a grasp uses most: of fingertips all, of the other phalanges half.
-_PAD_WEIGHT = {"1": 0.5, "2": 0.5, "3": 1.0}
-_PALM_WEIGHT = 0.3
 
 
 class GraspOptimiser:
@@ -53,8 +51,12 @@ class GraspOptimiser:
 
     def __init__(self, hand: GraspHand, config: OptimiserConfig, likelihood: Tensor | None = None):
         self.hand, self.config = hand, config
+        self.limits = hand.anatomy.angle_limits.clone()
+        knuckles = [name.endswith("mcp_flexion") for name in hand.anatomy.angle_names]
+        self.limits[torch.tensor(knuckles, device=self.limits.device), 1] = config.knuckle_flexion
         if likelihood is None:
-            weights = [_PAD_WEIGHT.get(name[-1], _PALM_WEIGHT) for name in hand.pad_names]
+            share = {"1": config.phalanges, "2": config.phalanges, "3": 1.0}
+            weights = [share.get(name[-1], config.palm) for name in hand.pad_names]
             self.pad_weight = hand.rest.new_tensor(weights)
         else:
             on_pads = likelihood.to(hand.rest)[hand.sample[hand.pads]] * hand.pad_mask
@@ -73,7 +75,7 @@ class GraspOptimiser:
         if not (self.config.iterations and len(start.wrist)):
             return start
         energy = HoldingEnergy(self.hand, self.config, self.pad_weight, start, surface, centre, floor)
-        return descend(start, energy, self.hand.anatomy.angle_limits, self.config)
+        return descend(start, self.hand.anatomy.frame, energy, self.limits, self.config)
 
 
 class HoldingEnergy:
@@ -134,7 +136,7 @@ class HoldingEnergy:
         energy = energy + c.contact * terms.contact(seen.pads, self.weight, c.contact_target, c.furthest)
         energy = energy + c.alignment * terms.alignment(seen.pads, self.weight)
         energy = energy + c.opposition * terms.opposition(seen.pads, self._thumb, self._opposing)
-        energy = energy + c.self_overlap * self.hand.overlap(seen.sampled.spheres)
+        energy = energy + c.self_overlap * self.hand.self_overlap(seen.sampled.spheres)
         if c.force:
             solve = iteration % c.force_every == 0
             energy = energy + c.force * self._forces.unmet(seen.pads, self._centre, solve)

@@ -10,6 +10,8 @@ from grabnet.body.skeleton import HAND_JOINTS
 from grabnet.geometry.kernels import spheres as kernels
 from grabnet.geometry.kernels.launch import launch
 
+THUMB_SHARE = float(__import__("os").environ.get("TS", ".7"))
+
 
 def fill(rest: Tensor, joints: Tensor, anatomy: Anatomy) -> tuple[Tensor, Tensor, Tensor]:
     """Centres (S, 3), radii (S,) and bones (S,) of spheres along the finger bones and under the palm."""
@@ -64,8 +66,10 @@ def clearance(centres: Tensor, radii: Tensor, bone: Tensor) -> Tensor:
     near_palm = (bone > 0) & (((bone - 1) % 3 == 0) | ((finger == 4) & ((bone - 1) % 3 < 2)))
     palm = finger == -1
     joined = (near_palm.unsqueeze(1) & palm) | (palm.unsqueeze(1) & near_palm)
-    separate = (finger.unsqueeze(1) != finger) & ~joined
-    apart = torch.minimum(0.92 * (radii.unsqueeze(1) + radii), 0.97 * torch.cdist(centres, centres))
+    of_thumb = (finger.unsqueeze(1) == 4) | (finger == 4)
+    separate = (finger.unsqueeze(1) != finger) & (~joined | of_thumb)
+    share = torch.where(joined, THUMB_SHARE, 0.97)  # flesh at the root of the thumb is pressed together
+    apart = torch.minimum(0.92 * (radii.unsqueeze(1) + radii), share * torch.cdist(centres, centres))
     return apart * separate
 
 

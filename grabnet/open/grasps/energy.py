@@ -74,7 +74,7 @@ class SynthesisEnergy:
         """
         c = self.config
         seen = Seen.of(self.hand, pose, self.scene.distance_and_normal, softness)
-        energy = firmness * self.obstacles(seen) + c.self_overlap * self.hand.overlap(seen.sampled.spheres)
+        energy = firmness * self.obstacles(seen) + c.self_overlap * self.hand.self_overlap(seen.sampled.spheres)
         energy = energy + c.contact * terms.contact(seen.pads, self.pad_weight, c.contact_target, c.furthest)
         energy = energy + c.alignment * terms.alignment(seen.pads, self.pad_weight)
         energy = energy + c.opposition * self._opposed * terms.opposition(seen.pads, self._thumb, self._opposing)

@@ -22,7 +22,9 @@ class SynthesisDescentConfig(DescentConfig):
     iterations: int = 70
     rotation_rate: float = 0.035
     angle_rate: float = 0.035
+    memory: float = 0.98
     softness: tuple[float, float] = (8.0, 1.5)
+    firmness: tuple[float, float] = (0.35, 1.45)
     variety: float = 0.16  # radians by which each grasp's prior posture is off its template
     spread_variety: float = 0.04  # the same for abduction
 
@@ -44,4 +46,4 @@ def optimise(
     noise = spread * torch.randn(start.angles.shape, generator=generator)
     prior = (start.angles + noise).clamp(*limits.T)
     energy = SynthesisEnergy(scene, hand, proposals, prior, energy_config, posture)
-    return descend(start, energy, limits, config)
+    return descend(start, hand.anatomy.frame, energy, limits, config)

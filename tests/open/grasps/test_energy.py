@@ -18,7 +18,7 @@ from ...grasping.scenes import ball
 def test_gradient_matches_finite_differences():
     model = HandModel.open(dtype=torch.float64)
     hand = GraspHand(model, Anatomy.of(model), torch.zeros(10, dtype=torch.float64))
-    hand.overlap = lambda spheres: overlaps(spheres, hand.apart).square().sum((1, 2)) / 2  # in double precision
+    hand.self_overlap = lambda spheres: overlaps(spheres, hand.apart).square().sum((1, 2)) / 2  # in double precision
     n = len(KINDS)
     generator = torch.Generator().manual_seed(1)
     angles = 0.3 + 0.4 * torch.rand(n, 21, generator=generator, dtype=torch.float64)
