@@ -9,6 +9,8 @@ from grabnet.body.anatomy import FINGERS
 
 # Of `opposition`: less is a push from one side.
 _HOLDS = 0.2
+# Millimetres by which skin is farther through than in: less is how pressed skin lies over an edge.
+_WALL = 3.0
 
 
 def caption(record: Mapping[str, Any]) -> str:
@@ -31,4 +33,6 @@ def caption(record: Mapping[str, Any]) -> str:
         held = f"{how}thumb + {fingers}"
     if record["pierced"]:
         return f"{held}, {record['through_mm']:.0f} mm through the object"
-    return f"{held}, {record['max_penetration_mm']:.1f} mm deep"
+    wall = record["through_mm"] - record["max_penetration_mm"] > _WALL
+    through = f", {record['through_mm']:.0f} mm through a wall" if wall else ""
+    return f"{held}, {record['max_penetration_mm']:.1f} mm deep{through}"

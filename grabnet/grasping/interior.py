@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from torch import Tensor
 
 from grabnet.body.skinning import homogeneous
-from grabnet.grasping.grasp_hand import GraspHand, GraspPose
+from grabnet.grasping.grasp_hand import GraspHand, GraspPose, Posed
 
 _UNIT = 0.02  # metres in which places are counted, so that they weigh about as much as the ones beside them
 
@@ -50,6 +50,11 @@ class Interior:
     def points(self, vertices: Tensor) -> Tensor:
         """(N, S, 3) of hands (N, V, 3)."""
         return self.weights.to(vertices) @ vertices
+
+    def posed(self, vertices: Tensor) -> Posed:
+        """Hands (N, V, 3) as `GraspHand.posed` gives them, without forearm and rotations."""
+        points = self.points(vertices)
+        return Posed(vertices, points, points[:, :0], points[:, :0].unsqueeze(-1))
 
 
 def _chain(centres: Tensor, bone: Tensor) -> Tensor:

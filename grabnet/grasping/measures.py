@@ -15,7 +15,7 @@ from grabnet.geometry.intersections import MovingMesh
 from grabnet.geometry.mesh import Mesh, vertex_areas
 from grabnet.geometry.openings import Lids
 from grabnet.geometry.queries import MeshQuery
-from grabnet.grasping.grasp_hand import GraspHand, Posed
+from grabnet.grasping.grasp_hand import GraspHand
 from grabnet.grasping.interior import Interior
 from grabnet.grasping.joints import beyond_limits
 from grabnet.grasping.lines import Lines
@@ -29,7 +29,8 @@ _NEAR = 0.005  # metres, as contact counts in the field (ref. 9)
 DEFINITIONS = {
     "through_mm": "of the lines from inside a finger or the palm to each vertex of its skin, the longest stretch "
     "beyond where one first enters the object: depth through walls, however thin",
-    "pierced": "whether the object cuts the hand into more than one piece, or touches the lines along its bones",
+    "pierced": "whether the object cuts the hand into more than one piece, slivers within 0.2 mm of it apart, or "
+    "touches the lines along its bones",
     "contact_area_cm2": "skin within 5 mm of the object's surface, in or out, that looks against it",
     "opposition": "minus the cosine between the object's normals under the thumb and under the finger or palm that "
     "opposes it best: 1 opposite, 0 at right angles or where one of them touches nothing, -1 side by side",
@@ -88,15 +89,14 @@ def measure_grasps(
         contacts: of the same hands with the object.
     """
     query = MeshQuery(mesh)
-    lines = Lines.of(Interior.of(hand), query, vertices, contacts.distances)
+    interior = Interior.of(hand)
+    lines = Lines.of(interior, query, vertices, contacts.distances)
     near = contacts.distances.abs() < _NEAR
     nearest = near | contacts.touching
     normals = torch.zeros_like(vertices)
     normals[nearest] = _normals(mesh)[query.closest(vertices[nearest]).face]
     against = near & ((vertex_normals(vertices, faces) * normals).sum(-1) < 0)
     areas = torch.from_numpy(vertex_areas(vertices.numpy(), faces.numpy()))
-    no_sphere = lines.points[:, :0]
-    posed = Posed(vertices, lines.points, no_sphere, no_sphere.unsqueeze(-1))
     pierced = lines.bone_crosses
     rest = ~pierced  # the others need no counting
     pierced[rest] = pieces(mesh, query, vertices[rest], faces, contacts.distances[rest], lines.select(rest)) > 1
@@ -106,7 +106,7 @@ def measure_grasps(
         pierced=pierced,
         contact_area_cm2=1e4 * (areas * against).sum(1).float(),
         opposition=opposition(contacts.touching, normals, contacts.finger),
-        crossing_mm=crossing(hand, posed).clamp_min(0),
+        crossing_mm=crossing(hand, interior.posed(vertices)).clamp_min(0),
         joint_excess_deg=excess.amax(1),
     )
 

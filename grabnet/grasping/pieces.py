@@ -10,11 +10,12 @@ from scipy.sparse.csgraph import connected_components
 
 from grabnet.geometry.intersections import Crossings, MovingMesh, find_crossings
 
+SLIVER = 0.0002  # metres: what no vertex of rises so far from the object is a graze, no piece
 _ON_SURFACE = 1e-6  # metres, within which rounding decides on which side a vertex is
 
 
 def count_pieces(hand: MovingMesh, solid: MovingMesh, distances: np.ndarray, lines: np.ndarray) -> int:
-    """How many pieces of a hand are left outside an object; 0 where none is.
+    """How many pieces of a hand are left outside an object, slivers apart; 0 where none is.
 
     Pieces hold together along the hand's skin outside the object, along the object's surface inside the hand, and along
     lines through the hand that miss the object. Where the two surfaces cut each other, in rings, one goes on in the
@@ -26,27 +27,26 @@ def count_pieces(hand: MovingMesh, solid: MovingMesh, distances: np.ndarray, lin
         lines: (L, 2) pairs joined by such a line: vertices of the hand, and numbers from V on
             for points inside it.
     """
-    inside = distances < 0
+    inside, outside = distances < 0, distances > SLIVER
     first_ring = max(len(hand.vertices), int(lines.max(initial=0)) + 1)
-    if len(np.unique(_joined([lines], first_ring)[: len(inside)][~inside])) < 2:  # so for hands that hold as hands do
-        return int(not inside.all())
+    if len(np.unique(_joined([lines], first_ring)[: len(inside)][outside])) < 2:
+        return int(outside.any())  # as in grasps that hold as hands do
     crossings = find_crossings(hand, solid)
     if not crossings.n_rings:
-        return int(not inside.all())
+        return int(outside.any())
     n = first_ring + crossings.n_rings
     cuts = _Cuts.of(hand, crossings, False)
     inside = np.where(np.abs(distances) < _ON_SURFACE, cuts.enclosed(np.arange(len(inside))), inside)
     skin = _along(cuts, ~inside, 0, first_ring, is_inside=False)
     links = [lines, skin, _within_faces(hand, crossings, inside, first_ring)]
-    outside = np.unique(np.append(skin, (~inside).nonzero()[0]))
-    if len(np.unique(_joined(links, n)[outside])) > 1:
+    if len(np.unique(_joined(links, n)[: len(outside)][outside])) > 1:
         # Vertices beyond the hand are as good as one.
         low, high = hand.bounds
         near = ((solid.vertices >= low) & (solid.vertices <= high)).all(1)
         number = near.cumsum() * near
         cuts = _Cuts.of(solid, crossings, True)
         links.append(_along(cuts, cuts.enclosed(number), n, first_ring, is_inside=True))
-    return len(np.unique(_joined(links, n + len(solid.vertices))[outside]))
+    return len(np.unique(_joined(links, n + len(solid.vertices))[: len(outside)][outside]))
 
 
 @dataclass(frozen=True)

@@ -66,10 +66,11 @@ def screen(
     core = _CORE * torch.lerp(hand.radii[None, start], hand.radii[None, end], shares.squeeze(-1))
     to_bones = distance_and_normal(bones.flatten(1, 2))[0]
     finger = hand.anatomy.finger
+    through = depth_through_walls(lambda x: distance_and_normal(x)[0], hand, posed)
     return Screening(
         distances=distances,
         depth_mm=1e3 * (-distances).amax(1).clamp_min(0),
-        through_mm=depth_through_walls(lambda points: distance_and_normal(points)[0], hand, posed).amax(1),
+        through_mm=through.amax(1),
         bone_mm=1e3 * (core.flatten() - to_bones).amax(1).clamp_min(0),
         crossing_mm=crossing(hand, posed).clamp_min(0),
         joint_excess_deg=beyond_limits(hand.anatomy, hand_pose)[0].amax(1),
