@@ -51,7 +51,7 @@ def judge(
         config: weights.
     """
     vertices, joints = hand(hands, rest)
-    posed = held.skin_only(vertices, interior.points(vertices))
+    posed = interior.posed(vertices)
     screened = screen(held, interior, posed, hands.hand_pose, objects.surface)
     contacts = Contacts(distances=screened.distances, finger=held.anatomy.finger)
     fingers = contacts.contact_vertices[:, : len(FINGERS)] > 0

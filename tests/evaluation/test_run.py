@@ -395,10 +395,3 @@ def test_rows_show_what_optimisation_candidates_and_learning_add(call):
         "CoarseNet + RefineNet, optimised",
         "CoarseNet + RefineNet, optimised, best of 2",
     ]
-    assert list(results(call("optimise=0", "candidates=2", "n=2"))["rows"])[2:] == [
-        "Naive baseline, best of 2",
-        "Templates, best of 2",
-        "CoarseNet",
-        "CoarseNet + RefineNet",
-        "CoarseNet + RefineNet, best of 2",
-    ]
