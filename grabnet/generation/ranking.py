@@ -29,7 +29,7 @@ class RankingConfig:
     depth_free: float = 1.0
     through: float = 2.0
     through_free: float = 2.0
-    bone: float = 2.0
+    bone: float = 10.0
     crossing: float = 1.0
     joint: float = 0.2
     unheld: float = 20.0
