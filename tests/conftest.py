@@ -72,7 +72,8 @@ def hand() -> HandModel:
 
 @pytest.fixture(scope="session")
 def grabber(hand: HandModel) -> Grabber:
-    """Untrained small networks whose hands, nearly flat and each different, lie palm down around the object's top."""
+    """Untrained small networks whose hands, nearly flat and each different, lie palm down around the object's top; they
+    are left as they are drawn."""
     torch.manual_seed(0)
     coarsenet = CoarseNet(BPS(256), width=32, n_hidden=16)
     refinenet = RefineNet(hand, width=32, n_hidden=16)
@@ -87,4 +88,4 @@ def grabber(hand: HandModel) -> Grabber:
         ):
             layer.weight.mul_(size)
             layer.bias.copy_(bias)
-    return Grabber(GrabNet(coarsenet, refinenet), hand, batch_size=16, n_turns=12)
+    return Grabber(GrabNet(coarsenet, refinenet), hand, batch_size=16, n_turns=12, optimise=0, candidates=1)

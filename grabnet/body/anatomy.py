@@ -45,6 +45,7 @@ class Anatomy:
     """Labels and joint axes of one hand model, on its device and in its dtype; make it with `Anatomy.of(hand)`.
 
     Attributes:
+        frame: (3, 3) rows distal, palmar and radial in the rest pose, orthonormal.
         bone: (V,) int64, joint with the largest skinning weight.
         finger: (V,) int64 index into `FINGERS`; -1 on palm and wrist.
         tips: (5,) int64 vertices at the fingertips, in the order of `FINGERS`.
@@ -55,6 +56,7 @@ class Anatomy:
         angle_limits: (21, 2) lowest and highest, radians.
     """
 
+    frame: Tensor
     bone: Tensor
     finger: Tensor
     tips: Tensor
@@ -75,6 +77,7 @@ class Anatomy:
         tips = torch.stack([_tip(vertices, joints, bone, f) for f in FINGERS])
         axes = _axes(joints, vertices[tips[0]], frame, hand.is_right)
         return cls(
+            frame=frame,
             bone=bone,
             finger=finger[bone],
             tips=tips,

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import torch
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -20,8 +19,6 @@ from scipy.spatial import cKDTree
 from grabnet.contact.bones import Bones
 from grabnet.contact.contacts import CONTACT_DISTANCE
 from grabnet.geometry.intersections import Crossings, MovingMesh, find_crossings
-from grabnet.geometry.kernels import queries as kernels
-from grabnet.geometry.kernels.launch import launch
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.openings import Lids
 
@@ -130,8 +127,8 @@ class ContactAnnotator:
             face (N,), -1 for none, and position (N, 3) on it, of the body; touching (M,).
         """
         free = self._skin & ~np.isin(self.face_parts, cutting)
-        face, position = _closest(self.body, self.object_mesh.vertices[hovering], self.distance, free)
-        return face, position, _closest(self.object_mesh, self.body.vertices[near], self.distance)[0] >= 0
+        face, position = self.body.closest(self.object_mesh.vertices[hovering], self.distance, free)
+        return face, position, self.object_mesh.closest(self.body.vertices[near], self.distance)[0] >= 0
 
     def _near_free_vertices(
         self, hovering: np.ndarray, near: np.ndarray, cutting: np.ndarray
@@ -146,7 +143,7 @@ class ContactAnnotator:
         is_free = np.zeros(len(self.body.vertices), bool)
         is_free[near] = True
         around = self._skin & is_free[self.body.faces].any(1)
-        face[is_near], position[is_near] = _closest(self.body, points[is_near], 1.001 * self.distance, around)
+        face[is_near], position[is_near] = self.body.closest(points[is_near], 1.001 * self.distance, around)
         return face, position, self._tree.query(vertices)[0] <= self.distance
 
     @cached_property
@@ -155,9 +152,9 @@ class ContactAnnotator:
 
     def _closest_skin(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Face (N,) and position (N, 3) of the body nearest to each point, lids left out."""
-        face, position = _closest(self.body, points)
+        face, position = self.body.closest(points)
         lid = ~self._skin[face]
-        face[lid], position[lid] = _closest(self.body, points[lid], faces=self._skin)
+        face[lid], position[lid] = self.body.closest(points[lid], faces=self._skin)
         return face, position
 
     def _near_object(self) -> np.ndarray:
@@ -294,21 +291,6 @@ class _Neighbours:
 def _components(n: int, edges: np.ndarray) -> tuple[int, np.ndarray]:
     graph = coo_matrix((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), (n, n))
     return connected_components(graph, directed=False)
-
-
-def _closest(
-    surface: MovingMesh, points: np.ndarray, max_distance: float = 1e3, faces: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Face (N,), -1 beyond `max_distance`, and position (N, 3) nearest to each point, among the chosen `faces`."""
-    points = torch.from_numpy(np.ascontiguousarray(points))
-    face = torch.full((len(points),), -1, dtype=torch.int32)
-    position, distance = torch.zeros_like(points), torch.zeros(len(points))
-    items = [points, distance, position, face]
-    if len(points) and faces is None:
-        launch(kernels.closest_point, items, [surface.mesh.id, max_distance])
-    elif len(points):
-        launch(kernels.closest_of_faces, items, [surface.mesh.id, max_distance, torch.from_numpy(faces)])
-    return face.numpy(), position.numpy()
 
 
 def _barycentric(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:

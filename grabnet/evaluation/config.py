@@ -6,16 +6,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hydra.utils import instantiate
+
+from grabnet.body.hand import HandModel
 from grabnet.cli.checks import Amount, Concurrent, Count, Distance, Name, Seed, Several, in_range, one_of
 from grabnet.data.splits import SPLITS
 from grabnet.generation.config import usable_device
+from grabnet.generation.grabber import Grabber
+from grabnet.models.generator import GraspGenerator
 
 
 @dataclass(frozen=True)
 class EvaluationConfig:
     """The values of `configs/evaluate.yaml`, which explains them.
 
-    contact, data, hand_model, source and physics are configs of what their groups make.
+    contact, data, hand_model, source, physics, optimiser and ranking are configs of what their groups make.
 
     Raises:
         UserError: a value out of range.
@@ -29,6 +34,8 @@ class EvaluationConfig:
     only: list[str] | None
     n: Count
     seed: Seed
+    optimise: Amount
+    candidates: Count
     contact_distance: Distance
     halo_samples: Count
     vertex_samples: Count
@@ -48,12 +55,24 @@ class EvaluationConfig:
     data: dict[str, Any]
     source: dict[str, Any]
     physics: dict[str, Any]
+    optimiser: dict[str, Any]
+    ranking: dict[str, Any]
     quiet: bool = False  # for the command
 
     def __post_init__(self):
         in_range(self)
         one_of(self, split=SPLITS)
         usable_device(self.device)
+
+    @property
+    def treatment(self) -> dict[str, Any]:
+        """What is done to the grasps that generators draw: options of a `Grabber`."""
+        chosen = {"optimiser": instantiate(self.optimiser), "ranking": instantiate(self.ranking)}
+        return {"optimise": self.optimise, "candidates": self.candidates} | chosen
+
+    def treated(self, generator: GraspGenerator, hand: HandModel) -> Grabber:
+        """Draws from a generator as from the models that are evaluated."""
+        return Grabber(generator, hand, **self.treatment).to(usable_device(self.device))
 
     @property
     def folders(self) -> list[Path]:

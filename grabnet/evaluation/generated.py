@@ -58,7 +58,7 @@ def drawn(
         return {"vertices": grasps.vertices.numpy(), "hand_pose": grasps.parameters.hand_pose.numpy()}
 
     hand_hash = sha256(grabber.hand.v_template.cpu().numpy())
-    sizes = f"{n} {seed} {grabber.batch_size} {grabber.n_turns} {grabber.finger.device.type}"
+    sizes = f"{n} {seed} {grabber.settings} {grabber.finger.device.type}"
     arrays = cache.get("drawn", [*sources, mesh.sha256, hand_hash, sizes], draw)
     return Hands(faces=grabber.hand.faces.cpu().numpy(), **arrays)
 

@@ -65,7 +65,7 @@ class EvaluationInputs:
             for name, mesh in track(self.meshes.items(), "Posing recorded hands")
         }
         self.models: list[EvaluatedModel] = load_models(
-            config.models, self.hand, config.runs, usable_device(config.device)
+            config.models, self.hand, config.runs, usable_device(config.device), **config.treatment
         )
 
     def data_for(self, network: SavedNetwork) -> GraspDataModule:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import sys
+from copy import deepcopy
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from grabnet.body.anatomy import Anatomy
 from grabnet.cli.progress import track
 from grabnet.errors import UserError
 from grabnet.evaluation.baseline import lookalike, transplanted
@@ -16,8 +18,17 @@ from grabnet.evaluation.generated import drawn, read_grasps
 from grabnet.evaluation.hands import Hands
 from grabnet.evaluation.inputs import EvaluationInputs
 from grabnet.evaluation.metrics import Metric
+from grabnet.evaluation.models import treatment
 from grabnet.evaluation.recorded import ground_truth_sample, recorded_hands
+from grabnet.evaluation.recorded_generator import RecordedGenerator
+from grabnet.evaluation.template_generator import TemplateGenerator
 from grabnet.geometry.mesh import load_mesh
+from grabnet.grasping.grasp_hand import GraspHand
+from grabnet.grasping.proposing.templates import TemplateConfig, build_templates, natural_limits
+from grabnet.models.generator import GraspGenerator
+
+# Rank of what is expected to come out worse than anything else.
+_LAST = 100
 
 
 @dataclass(eq=False)
@@ -54,7 +65,7 @@ def make_methods(inputs: EvaluationInputs) -> list[Method]:
     Raises:
         UserError: grasps that cannot be read, or are of no object that is evaluated.
     """
-    methods = [_ground_truth(inputs), _baseline(inputs), *_models(inputs)]
+    methods = [_ground_truth(inputs), *_without_network(inputs), *_models(inputs)]
     return methods + _folders(inputs, {method.name for method in methods})
 
 
@@ -65,29 +76,60 @@ def _ground_truth(inputs: EvaluationInputs) -> Method:
     return Method("Ground truth", about, 0, hands, is_recorded=True)
 
 
-def _baseline(inputs: EvaluationInputs) -> Method:
-    """Raises: UserError: there is no training object."""
-    about = "training grasps of the object with the most similar BPS, put in the same place"
-    method = Method("Naive baseline", about, 3, {}, is_recorded=True)
-    names = inputs.training_objects
+def _without_network(inputs: EvaluationInputs) -> list[Method]:
+    """The naive baseline; and, where models' grasps are optimised or chosen from candidates, what that gives without a
+    network: of the baseline's grasps, and of templates.
+
+    Raises:
+        UserError: there is no training object.
+    """
+    config, names = inputs.config, inputs.training_objects
     if not names:
         raise UserError(f"{inputs.data.store_dir} has no training object with a mesh in {inputs.data.objects_dir}.")
     files = [inputs.files[name] for name in names]
+    about = "training grasps of the object with the most similar BPS, put in the same place"
+    baseline = Method("Naive baseline", about, _LAST, {}, is_recorded=True)
+    hand, similar = deepcopy(inputs.hand), {}
     for name, mesh in track(inputs.meshes.items(), "Looking for similar objects"):
-        similar = lookalike(mesh, files, inputs.cache)
-        origin = load_mesh(files[similar.number])
-        hands = recorded_hands(inputs.training_part, inputs.hand, names[similar.number], origin)
-        chosen = np.random.default_rng([inputs.config.seed, 3]).permutation(len(hands))[: inputs.config.n]
-        method.hands[name] = transplanted(hands.select(chosen), origin, mesh, similar.turn)
-        print(f"{method.name}: {name} is grasped like {names[similar.number]}")
-    return method
+        similar[name] = lookalike(mesh, files, inputs.cache)
+        origin = load_mesh(files[similar[name].number])
+        hands = recorded_hands(inputs.training_part, inputs.hand, names[similar[name].number], origin)
+        chosen = np.random.default_rng([config.seed, 3]).permutation(len(hands))[: config.n]
+        baseline.hands[name] = transplanted(hands.select(chosen), origin, mesh, similar[name].turn)
+        print(f"{baseline.name}: {name} is grasped like {names[similar[name].number]}")
+
+    def recorded(name: str) -> GraspGenerator:
+        return RecordedGenerator(inputs.training_part, hand, names[similar[name].number], similar[name].turn)
+
+    note = treatment(config.treated(recorded(next(iter(similar))), hand))
+    if not note:
+        return [baseline]
+    held = GraspHand(hand, Anatomy.of(hand), hand.shapedirs.new_zeros(hand.shapedirs.shape[-1]))
+    templates = build_templates(held, natural_limits(held.anatomy, TemplateConfig()))
+
+    def proposed(name: str) -> GraspGenerator:
+        return TemplateGenerator(inputs.meshes[name], held, templates, inputs.data.cache_dir)
+
+    rows = {
+        "Naive baseline": (recorded, "the same grasps with the mean hand", inputs.fingerprint),
+        "Templates": (proposed, "templates of human grasps where they fit the object, without any network", []),
+    }
+    methods = [baseline]
+    for title, (generator, about, sources) in rows.items():
+        hands = {}
+        for name, mesh in inputs.meshes.items():
+            grabber = config.treated(generator(name), hand)
+            made = [title, *sources, str(similar[name])]
+            hands[name] = drawn(grabber, made, mesh, config.n, config.seed, inputs.data.cache_dir, inputs.cache)
+        methods.append(Method(title + note, about + note, 2, hands))
+    return methods
 
 
 def _models(inputs: EvaluationInputs) -> list[Method]:
     config, methods = inputs.config, []
     for model in inputs.models:
         variants = model.variants()
-        for variant, grabber in variants.items():
+        for place, (variant, grabber) in enumerate(variants.items()):
             name = model.title(variant, among=inputs.models)
             print(f"{name}: {', '.join(str(file) for file in model.files.values())}")
             sources = [variant, *model.hashes.values()]
@@ -95,8 +137,7 @@ def _models(inputs: EvaluationInputs) -> list[Method]:
                 object_name: drawn(grabber, sources, mesh, config.n, config.seed, inputs.data.cache_dir, inputs.cache)
                 for object_name, mesh in track(inputs.meshes.items(), f"Drawing grasps from {name}")
             }
-            is_whole = variant == list(variants)[-1]
-            methods.append(Method(name, f"drawn from {model.name}", 1 if is_whole else 2, hands))
+            methods.append(Method(name, f"drawn from {model.name}", len(variants) - place, hands))
     return methods
 
 

@@ -26,6 +26,11 @@ FIELD = Section(
     "Protocols of the field",
     "Other data, and protocols that differ three- to five-fold in their outcome: rough marks only.",
 )
+VOLCO = Section(
+    "Volume and contact (volco)",
+    "Low volume alone often means loose hands: read it beside the contact area. Rows of others are of other objects "
+    "and grasps, re-run by the authors of the protocol: rough marks only.",
+)
 HAND = Section("Posture, novelty, coverage")
 FURTHER = Section("Further protocols")
 
@@ -45,6 +50,7 @@ class Metric:
         headline: whether it is in the first table of the report and in the summary of `tables.tex`.
         distribution: whether the report draws how its values are distributed.
         caption: format of a grasp's value below its picture; empty where it is not shown there.
+        mark: words below the pictures of grasps whose value is not 0; empty where there are none.
         part: of the hand that it is about, where `<series>_<part>` is measured of several parts: these are drawn beside
             each other.
         per_grasp: whether values belong to single grasps, in their order.
@@ -62,6 +68,7 @@ class Metric:
     headline: bool = False
     distribution: bool = False
     caption: str = ""
+    mark: str = ""
     part: str = ""
     per_grasp: bool = True
     of_hand_alone: bool = False

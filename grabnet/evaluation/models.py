@@ -7,6 +7,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -47,18 +48,35 @@ class EvaluatedModel:
         return part if len(among) == 1 else f"{self.name}: {part}"
 
     def variants(self) -> dict[str, Grabber]:
-        """The model and parts of it that also make grasps, by name, the whole model last."""
+        """The model and parts of it that also make grasps, as these are drawn; then the whole model with optimisation
+        and with candidates, where the grabber has these. By name; the last one is the grabber itself."""
         whole = self.grabber
-        return {
-            name: Grabber(part, whole.hand, whole.batch_size, whole.n_turns).to(whole.finger.device)
+        plain = {
+            name: whole.changed(generator=part, optimise=0, candidates=1)
             for name, part in whole.generator.variants().items()
         }
+        return plain | {f"{list(plain)[-1]}{note}": grabber for note, grabber in treatments(whole).items()}
+
+
+def treatments(grabber: Grabber) -> dict[str, Grabber]:
+    """The grabber without its candidates, and as it is, by what that does to its grasps; only what does something."""
+    treated = {}
+    if grabber.optimise and grabber.candidates > 1:
+        treated[", optimised"] = grabber.changed(candidates=1)
+    if grabber.optimise or grabber.candidates > 1:
+        treated[treatment(grabber)] = grabber
+    return treated
+
+
+def treatment(grabber: Grabber) -> str:
+    """What a grabber does to the grasps that its generator draws, as in ", optimised, best of 4"."""
+    return ", optimised" * bool(grabber.optimise) + f", best of {grabber.candidates}" * (grabber.candidates > 1)
 
 
 def load_models(
-    names: str | Sequence[str | Sequence[str]], hand: HandModel, runs: str | Path, device: torch.device
+    names: str | Sequence[str | Sequence[str]], hand: HandModel, runs: str | Path, device: torch.device, **options: Any
 ) -> list[EvaluatedModel]:
-    """The models of these names, as `Grabber.from_pretrained` takes them, on a device.
+    """The models of these names, as `Grabber.from_pretrained` takes them with these options, on a device.
 
     Raises:
         UserError: one that is missing, damaged, trained with another hand, or named twice.
@@ -66,7 +84,7 @@ def load_models(
     models: list[EvaluatedModel] = []
     for name in [names] if isinstance(names, str) else names:
         # Each with a hand of its own: the data's stays on the CPU.
-        grabber = Grabber.from_pretrained(name, deepcopy(hand), runs=runs).to(device)
+        grabber = Grabber.from_pretrained(name, deepcopy(hand), runs=runs, **options).to(device)
         models.append(EvaluatedModel(name if isinstance(name, str) else " + ".join(name), grabber))
         if models[-1].name in [model.name for model in models[:-1]]:
             raise UserError(f"models names {models[-1].name} twice; name each once.")

@@ -6,14 +6,16 @@ from grabnet.evaluation.inputs import EvaluationInputs
 from grabnet.evaluation.protocol import EvaluationProtocol
 from grabnet.evaluation.protocols.contact import FingerContact
 from grabnet.evaluation.protocols.contact_maps import ContactMaps
-from grabnet.evaluation.protocols.diversity import Coverage, Diversity, Novelty
+from grabnet.evaluation.protocols.diversity import Coverage, Diversity, Novelty, WhitenedDiversity
 from grabnet.evaluation.protocols.grasptta import GraspTTA
 from grabnet.evaluation.protocols.ground_truth import ClosestHand, ClosestMap
 from grabnet.evaluation.protocols.halo import Halo
 from grabnet.evaluation.protocols.penetration import Penetration
 from grabnet.evaluation.protocols.posture import Posture
 from grabnet.evaluation.protocols.reconstruction import Reconstruction
-from grabnet.evaluation.protocols.simulated import Displacement, Shake
+from grabnet.evaluation.protocols.simulated import Displacement, Shake, Stability
+from grabnet.evaluation.protocols.volco import Volco
+from grabnet.evaluation.protocols.walls import Walls
 
 PROTOCOLS: list[type[EvaluationProtocol]] = [
     Reconstruction,
@@ -24,6 +26,10 @@ PROTOCOLS: list[type[EvaluationProtocol]] = [
     Displacement,
     Shake,
     Penetration,
+    Walls,
+    Volco,
+    Stability,
+    WhitenedDiversity,
     FingerContact,
     Posture,
     ContactMaps,

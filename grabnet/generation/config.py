@@ -12,7 +12,9 @@ from grabnet.contact.rules import ContactRules
 from grabnet.errors import UserError
 from grabnet.generation.formats import FORMATS
 from grabnet.generation.grabber import ORIENTATIONS, SIDES
+from grabnet.generation.ranking import RankingConfig
 from grabnet.geometry.object_mesh import file_to_object
+from grabnet.grasping.optimiser import OptimiserConfig
 
 
 @dataclass(frozen=True)
@@ -43,11 +45,15 @@ class SamplingConfig:
     contact_maps: bool
     sheet: Amount
     page: Amount
+    optimise: Amount
+    candidates: Count
     batch_size: Batch
     n_turns: Batch
     device: str
     cache_dir: str | None
     contact: ContactRules = field(default_factory=ContactRules)
+    optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
+    ranking: RankingConfig = field(default_factory=RankingConfig)
     quiet: bool = False  # for the command
 
     def __post_init__(self):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from grabnet.body.anatomy import FINGERS
 from grabnet.cli.progress import track
+from grabnet.generation.captions import caption
 from grabnet.generation.grasps import Grasps
 from grabnet.visual.pictures import OBJECT, SKIN, Shape, contact_sheet
 from grabnet.visual.views import both_sides
@@ -22,10 +22,5 @@ def grasp_sheet(grasps: Grasps, size: int = 280) -> np.ndarray:
     shown = zip(grasps.vertices.numpy(), grasps.report(), strict=True)
     for hand, record in track(shown, "Drawing pictures", len(grasps)):
         tiles.append(both_sides(solid, Shape(hand, grasps.faces, SKIN), grasps.up, grasps.to_object[1, :3], size))
-        touching = [finger for finger in FINGERS if record["contact_vertices"][finger]]
-        captions.append(f"{record['index']}: {record['max_penetration_mm']:.1f} mm deep · {_listed(touching)}")
+        captions.append(f"{record['index']}: {caption(record)}")
     return contact_sheet(tiles, captions)
-
-
-def _listed(fingers: list[str]) -> str:
-    return "no finger touches" if not fingers else "all fingers touch" if fingers == [*FINGERS] else " ".join(fingers)

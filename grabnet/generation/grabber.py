@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import asdict, is_dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,18 +15,26 @@ from torch import Tensor, nn
 
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel, HandParameters
-from grabnet.cli.checks import Batch, Betas, Count, Distance, Positive, Seed, in_range, one_of
+from grabnet.cli.checks import Amount, Batch, Betas, Count, Distance, Positive, Seed, in_range, one_of
 from grabnet.cli.progress import track
 from grabnet.contact.contacts import CONTACT_DISTANCE, Contacts
 from grabnet.errors import UserError
+from grabnet.generation.candidates import Candidates, draw
 from grabnet.generation.grasps import Grasps
 from grabnet.generation.placement import Placement
+from grabnet.generation.ranking import Ranked, RankingConfig, choose, pool_sizes
+from grabnet.generation.scoring import judge
 from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.object_mesh import load_object
+from grabnet.geometry.placed import PlacedObjects
 from grabnet.geometry.queries import MeshQuery
 from grabnet.geometry.rotations import about_z, quaternion_to_matrix
 from grabnet.geometry.sdf_grid import AtlasConfig, SDFGrid
+from grabnet.grasping.grasp_hand import GraspHand
+from grabnet.grasping.interior import Interior
+from grabnet.grasping.measures import measure_grasps
+from grabnet.grasping.optimiser import GraspOptimiser, OptimiserConfig
 from grabnet.models.generator import GraspGenerator
 from grabnet.models.trained import find_model, load_model
 
@@ -33,6 +43,7 @@ ORIENTATIONS = ("upright", "fixed", "random")
 # Vertices that the atlas puts farther than this (metres) outside are not measured exactly: neither contact nor
 # penetration can depend on them, and they are most of the hand.
 _EXACT_WITHIN = 0.01
+_SETTINGS = ("batch_size", "n_turns", "optimise", "candidates", "optimiser", "ranking")
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
@@ -44,18 +55,36 @@ class Grabber(nn.Module):
         hand: right hand model, the one the generator was trained with.
         batch_size: hands posed at once. The last batch is filled up, so that no result depends on how many are made.
         n_turns: ways the object is turned before the hand; grasps take them in rotation. Each costs an encoding of the
-            object, which takes longer than the grasp itself.
+            object, which takes longer than drawing the grasp itself.
+        optimise: iterations by which each hand is optimised against the object; 0 leaves it as it is drawn.
+        candidates: hands drawn for each grasp; the best ones that differ are kept (`ranking.choose`). 1 keeps all.
+        optimiser: how hands are optimised; its `iterations` give way to `optimise`.
+        ranking: what makes a candidate better than another, and how they are chosen.
 
     Attributes:
         weights: files of the generator's networks, by kind, where it was loaded from files.
     """
 
-    def __init__(self, generator: GraspGenerator, hand: HandModel, batch_size: Batch = 256, n_turns: Batch = 128):
+    def __init__(
+        self,
+        generator: GraspGenerator,
+        hand: HandModel,
+        batch_size: Batch = 256,
+        n_turns: Batch = 128,
+        optimise: Amount = 60,
+        candidates: Count = 4,
+        optimiser: OptimiserConfig = OptimiserConfig(),  # noqa: B008, frozen
+        ranking: RankingConfig = RankingConfig(),  # noqa: B008, frozen
+    ):
         super().__init__()
         self.generator, self.hand = generator.eval(), hand
         self.batch_size = batch_size
         self.n_turns = n_turns
+        self.optimise = optimise
+        self.candidates = candidates
         in_range(self)
+        self.optimiser = replace(optimiser, iterations=optimise)
+        self.ranking = ranking
         self.weights: dict[str, Path] = {}
         self.register_buffer("finger", Anatomy.of(hand).finger, persistent=False)
 
@@ -88,6 +117,17 @@ class Grabber(nn.Module):
         grabber.weights = {kind: file for kind, file in files.items() if refine or kind != "RefineNet"}
         return grabber
 
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All arguments of the constructor but generator and hand, ready for JSON; grasps depend on them."""
+        values = {name: getattr(self, name) for name in _SETTINGS}
+        return {name: asdict(value) if is_dataclass(value) else value for name, value in values.items()}
+
+    def changed(self, generator: GraspGenerator | None = None, **settings: Any) -> Grabber:
+        """A grabber with another generator or other settings on the same device."""
+        values = {name: getattr(self, name) for name in _SETTINGS} | settings
+        return Grabber(generator or self.generator, self.hand, **values).to(self.finger.device)
+
     @torch.no_grad()
     def forward(
         self,
@@ -111,7 +151,8 @@ class Grabber(nn.Module):
         Args:
             mesh: the object, open or closed, or a file of one.
             n: number of grasps.
-            seed: grasp i of a seed is the same for every n.
+            seed: grasp i of a seed is the same for every n: it is chosen from so many candidates as i alone decides
+                (`ranking.pool_sizes`).
             side: "left" grasps the mirrored object with the right-hand networks and mirrors the result back.
             orientation: how the object stands before the hand: "upright", turned about its vertical from grasp to
                 grasp, in golden angles from a random one; "fixed", as in its file; "random", turned anyhow.
@@ -135,14 +176,27 @@ class Grabber(nn.Module):
         placed = load_object(mesh, scale, up, max_size, min_size, to_object)
         betas = self._betas(betas)
         rest = self.hand.shaped(betas)
-        known, turns = self.generator.conventions.in_use, _turns(orientation, min(n, self.n_turns), seed).to(device)
+        known, pools = self.generator.conventions.in_use, pool_sizes(n, self.candidates, self.batch_size)
+        n_drawn = int(pools[-1]) if self.candidates > 1 else n
+        turns = _turns(orientation, min(n_drawn, self.n_turns), seed).to(device)
         placement = Placement.of(placed, turns, side, known)
         grid = SDFGrid.load_or_build(placed.solid, cache_dir, AtlasConfig(centre=known.centre))
-        atlas = SDFAtlas([grid]).to(device)
-        drawn = self._drawn(atlas, placement, n, seed, rest)
-        _measure(MeshQuery(placed.solid, device), drawn.in_object_frame, drawn.distances)
-        contacts = Contacts(
-            distances=drawn.distances.cpu(), finger=self.finger.cpu(), contact_distance=contact_distance
+        objects = placement.objects(SDFAtlas([grid]).to(device))
+        held = GraspHand(self.hand, Anatomy.of(self.hand), betas)
+        kept, ranked = self._kept(objects, held, pools, seed, rest)
+        parameters, vertices, distances = self._to_mesh(placement, objects, kept, rest)
+        in_object_frame = placement.to_object_frame(vertices)
+        _measure(MeshQuery(placed.solid, device), in_object_frame, distances)
+        contacts = Contacts(distances=distances.cpu(), finger=self.finger.cpu(), contact_distance=contact_distance)
+        faces = (self.hand.faces if side == "right" else self.hand.faces.flip(1)).cpu()
+        model = deepcopy(self.hand).cpu()
+        measures = measure_grasps(
+            GraspHand(model, Anatomy.of(model), betas.cpu()),
+            placed.solid,
+            in_object_frame.cpu(),
+            faces,
+            kept.hands.hand_pose.cpu(),
+            contacts,
         )
         return Grasps(
             mesh=placed.mesh,
@@ -150,12 +204,14 @@ class Grabber(nn.Module):
             remarks=placed.remarks,
             side=side,
             seed=seed,
-            parameters=HandParameters(*(x.cpu() for x in drawn.parameters)),
+            parameters=HandParameters(*(x.cpu() for x in parameters)),
             betas=betas.expand(n, -1).cpu(),
-            object_transform=drawn.transforms.cpu(),
-            vertices=(drawn.vertices / placement.scale).cpu(),
-            faces=(self.hand.faces if side == "right" else self.hand.faces.flip(1)).cpu(),
+            object_transform=placement.transforms(kept.ways).cpu(),
+            vertices=(vertices / placement.scale).cpu(),
+            faces=faces,
             contacts=contacts,
+            measures=measures,
+            ranked=ranked,
         )
 
     def _betas(self, betas: Tensor | Sequence[float] | None) -> Tensor:
@@ -167,47 +223,49 @@ class Grabber(nn.Module):
             raise UserError(f"betas has {betas.numel()} values; this hand model has {most}.")
         return betas
 
-    def _drawn(self, atlas: SDFAtlas, placement: Placement, n: int, seed: int, rest: Tensor) -> _Drawn:
-        """n hands. All is computed in full batches: sums of products of fewer rows may round differently."""
-        n_filled = -(-n // self.batch_size) * self.batch_size
-        noise = _noise(n_filled, self.generator.noise_dim, seed).to(rest.device)
-        objects = placement.objects(atlas)
-        codes = self.generator.encode(objects)
+    def _kept(
+        self, objects: PlacedObjects, held: GraspHand, pools: Tensor, seed: int, rest: Tensor
+    ) -> tuple[Candidates, Ranked | None]:
+        """A hand of each of the pools, in the right-hand world: the best ones where there are several for each."""
+        optimiser = GraspOptimiser(held, self.optimiser) if self.optimise else None
+        interior = Interior.of(held)
+        drawn, scores, keypoints = [], [], []
+        batches = draw(self.generator, objects, int(pools[-1]), self.batch_size, seed, rest, optimiser)
+        for batch in track(batches, "Drawing grasps", -(-int(pools[-1]) // self.batch_size)):
+            drawn.append(batch)
+            if self.candidates > 1:
+                judged = judge(held, interior, self.hand, batch.hands, rest, objects.select(batch.ways), self.ranking)
+                scores.append(judged.parts)
+                keypoints.append(judged.keypoints)
+        all_drawn = Candidates.cat(drawn)
+        if self.candidates == 1:
+            return all_drawn.select(slice(len(pools))), None
+        parts = {name: torch.cat([score[name] for score in scores]).cpu() for name in scores[0]}
+        kept = choose(sum(parts.values()), torch.cat(keypoints).cpu(), pools, self.ranking)
+        ranked = Ranked(kept, {name: values[kept.index] for name, values in parts.items()})
+        return all_drawn.select(kept.index.to(rest.device)), ranked
+
+    def _to_mesh(
+        self, placement: Placement, objects: PlacedObjects, kept: Candidates, rest: Tensor
+    ) -> tuple[HandParameters, Tensor, Tensor]:
+        """Parameters and vertices (n, V, 3) as `Placement.hands_to_mesh` gives them, and distances (n, V) to the object
+        by the atlas. Full batches again, so that no grasp depends on how many there are."""
+        n = len(kept.ways)
+        rows = torch.arange(-(-n // self.batch_size) * self.batch_size, device=rest.device) % n
         batches = []
-        inputs = zip(noise.split(self.batch_size), placement.ways(n_filled).split(self.batch_size), strict=True)
-        for z, ways in track(inputs, "Drawing grasps", n_filled // self.batch_size):
-            chosen = objects.select(ways)
-            hands = self.generator.sample(codes[ways], chosen, z, rest)
-            distances = chosen.signed_distances(self.hand(hands, rest).vertices)
+        for row in rows.split(self.batch_size):
+            hands, ways = kept.select(row)
+            distances = objects.select(ways).signed_distances(self.hand(hands, rest).vertices)
             parameters, vertices = placement.hands_to_mesh(hands, ways, self.hand, rest)
-            in_object_frame = placement.to_object_frame(vertices)
-            batches.append((*parameters, vertices, in_object_frame, distances, placement.transforms(ways)))
-        *parameters, vertices, in_object_frame, distances, transforms = (
-            torch.cat(parts)[:n] for parts in zip(*batches, strict=True)
-        )
-        return _Drawn(HandParameters(*parameters), vertices, in_object_frame, distances, transforms)
-
-
-class _Drawn(NamedTuple):
-    """N hands: parameters and vertices (N, V, 3) as `Placement.hands_to_mesh` gives them, the vertices in the object
-    frame, their distances (N, V) to the object by the atlas, and transforms (N, 4, 4) from mesh to world."""
-
-    parameters: HandParameters
-    vertices: Tensor
-    in_object_frame: Tensor
-    distances: Tensor
-    transforms: Tensor
+            batches.append((*parameters, vertices, distances))
+        *parameters, vertices, distances = (torch.cat(parts)[:n] for parts in zip(*batches, strict=True))
+        return HandParameters(*parameters), vertices, distances
 
 
 def _measure(query: MeshQuery, vertices: Tensor, distances: Tensor) -> None:
     """Replace the atlas's distances (N, V) of vertices (N, V, 3) by exact ones, wherever they are near the surface."""
     near = distances < _EXACT_WITHIN
     distances[near] = query.signed_distance(vertices[near])
-
-
-def _noise(n: int, dim: int, seed: int) -> Tensor:
-    """(n, dim) standard normal; row i depends on the seed and i alone."""
-    return torch.from_numpy(np.random.default_rng([seed, 0]).standard_normal((n, dim), np.float32))
 
 
 def _turns(orientation: str, n: int, seed: int) -> Tensor:

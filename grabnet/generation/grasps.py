@@ -13,12 +13,16 @@ from torch import Tensor
 
 from grabnet.body.anatomy import FINGERS
 from grabnet.body.hand import HandParameters
-from grabnet.contact.contacts import DEFINITIONS, Contacts
+from grabnet.contact import contacts
+from grabnet.contact.contacts import Contacts
 from grabnet.errors import UserError
 from grabnet.generation.formats import FORMATS, MESH_NAMES
+from grabnet.generation.ranking import Ranked
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.object_mesh import ObjectMesh
 from grabnet.geometry.rotations import matrix_to_axis_angle
+from grabnet.grasping import measures
+from grabnet.grasping.measures import GraspMeasures
 from grabnet.io.files import filling, write_json
 
 RECORD = "grasps.json"
@@ -61,6 +65,8 @@ class Grasps:
             as the networks saw the object, origin at its centre (`Conventions`).
         vertices: (N, V, 3) hands in the mesh's frame and units. faces: (F, 3), outward.
         contacts: of the hands with the mesh; distances are exact within 1 cm of it.
+        measures: of the same, beyond contact.
+        ranked: why these were kept; None where they were not chosen from more.
         remarks: what was mended of the mesh, and what about it makes grasps doubtful.
     """
 
@@ -74,6 +80,8 @@ class Grasps:
     vertices: Tensor
     faces: Tensor
     contacts: Contacts
+    measures: GraspMeasures
+    ranked: Ranked | None = None
     remarks: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -89,6 +97,8 @@ class Grasps:
             self,
             parameters=self.parameters.select(slice(n)),
             contacts=replace(self.contacts, distances=self.contacts.distances[:n]),
+            measures=self.measures.select(slice(n)),
+            ranked=self.ranked and self.ranked.first(n),
             **{name: getattr(self, name)[:n] for name in per_grasp},
         )
 
@@ -104,31 +114,36 @@ class Grasps:
 
     def summary(self) -> str:
         """The grasps in a line for the screen."""
-        contacts = self.contacts
+        pinched, pierced = self.contacts.pinched.float().mean(), self.measures.pierced.float().mean()
+        deepest, through = 1000 * self.contacts.max_penetration.mean(), self.measures.through_mm.mean()
         remarks = f" (mesh: {'; '.join(self.remarks)})" if self.remarks else ""
         return (
-            f"{len(self)} grasps, thumb and a finger touch in {contacts.pinched.float().mean():.0%}, "
-            f"deepest penetration {1000 * contacts.max_penetration.mean():.1f} mm on average{remarks}"
+            f"{len(self)} grasps, thumb and a finger touch in {pinched:.0%}, {pierced:.0%} go through the object; on "
+            f"average {deepest:.1f} mm deep at the deepest vertex and {through:.1f} mm through walls{remarks}"
         )
 
     def report(self) -> list[dict[str, Any]]:
-        """One record per grasp, ready for JSON: penetration in mm, contact vertices by finger, index and seed."""
-        contacts = self.contacts
+        """One record per grasp, ready for JSON: index, seed, penetration, measures, contact vertices by finger; and by
+        what score it was chosen, where there were several candidates."""
         rows = zip(
-            contacts.max_penetration.tolist(),
-            contacts.mean_penetration.tolist(),
-            contacts.contact_vertices.tolist(),
+            self.contacts.max_penetration.tolist(),
+            self.contacts.mean_penetration.tolist(),
+            self.contacts.contact_vertices.tolist(),
+            self.measures.report(),
             strict=True,
         )
+        ranked = self.ranked.report() if self.ranked else [{}] * len(self)
         return [
             {
                 "index": i,
                 "seed": self.seed,
                 "max_penetration_mm": round(deepest * 1000, 3),
                 "mean_penetration_mm": round(mean * 1000, 3),
+                **measured,
                 "contact_vertices": dict(zip((*FINGERS, "palm"), counts, strict=True)),
+                **ranked[i],
             }
-            for i, (deepest, mean, counts) in enumerate(rows)
+            for i, (deepest, mean, counts, measured) in enumerate(rows)
         ]
 
     def save(self, folder: str | Path, formats: Sequence[str] = ("glb",), **record: Any) -> None:
@@ -154,7 +169,7 @@ class Grasps:
         for name in formats:
             (folder / "meshes").mkdir(exist_ok=True)
             FORMATS[name](folder / "meshes", placed, self.vertices.numpy(), self.faces.numpy())
-        facts = {"remarks": list(self.remarks), "definitions": DEFINITIONS}
+        facts = {"remarks": list(self.remarks), "definitions": contacts.DEFINITIONS | measures.DEFINITIONS}
         facts["contact_distance"] = self.contacts.contact_distance
         write_json(folder / RECORD, {**record, **facts, "grasps": self.report()})
 

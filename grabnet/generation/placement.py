@@ -25,7 +25,7 @@ from grabnet.geometry.placed import PlacedObjects
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Ways in which one object stands in the world; grasp i takes way i modulo their number K.
+    """Ways in which one object stands in the world; candidate i takes way i modulo their number K.
 
     Attributes:
         to_object: (4, 4) float64 similarity, mesh to object.
@@ -73,10 +73,6 @@ class Placement:
     def shift(self) -> Tensor:
         """(3,) origin of the mesh in the object frame, metres."""
         return self.turns.new_tensor(self.to_object[:3, 3])
-
-    def ways(self, n: int) -> Tensor:
-        """(n,) int64, the way that each of n grasps takes."""
-        return torch.arange(n, device=self.turns.device) % len(self.turns)
 
     def objects(self, atlas: SDFAtlas) -> PlacedObjects:
         """The object in the right-hand world, its K ways, for an atlas that holds it alone."""

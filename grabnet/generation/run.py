@@ -15,7 +15,7 @@ from grabnet.generation.contact_maps import contact_maps
 from grabnet.generation.export import result_folders, write_grasps
 from grabnet.generation.grabber import Grabber
 from grabnet.io.files import existing, sha256
-from grabnet.io.names import originals
+from grabnet.io.names import is_hidden
 from grabnet.io.provenance import provenance
 from grabnet.visual.pictures import can_render
 
@@ -40,6 +40,10 @@ def run(config: SamplingConfig) -> int:
         config.runs,
         batch_size=config.batch_size,
         n_turns=config.n_turns,
+        optimise=config.optimise,
+        candidates=config.candidates,
+        optimiser=config.optimiser,
+        ranking=config.ranking,
     )
     most = hand.shapedirs.shape[-1]
     if len(config.betas or []) > most:
@@ -95,9 +99,8 @@ def _mesh_files(named: list[str]) -> tuple[list[Path], list[str]]:
             path = existing(Path(name).expanduser(), "Mesh")
             inside = [path]
             if path.is_dir():
-                inside = [
-                    p for p in originals(path.iterdir(), path) if p.suffix.lower() in MESH_SUFFIXES and p.is_file()
-                ]
+                meshes = (p for p in path.iterdir() if p.suffix.lower() in MESH_SUFFIXES and p.is_file())
+                inside = sorted(p for p in meshes if not is_hidden(p.name))
                 if not inside:
                     raise UserError(f"The folder {path} holds no mesh ({', '.join(MESH_SUFFIXES)}).")
             files |= {p.resolve(): p for p in inside}

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from grabnet.generation.captions import caption
 from grabnet.generation.grasps import Grasps
 from grabnet.io.files import replacing
 from grabnet.visual.pictures import OBJECT, SKIN
@@ -49,7 +50,7 @@ def write_viewer(path: str | Path, grasps: Grasps, title: str) -> None:
             "touching": _base64(touching.numpy().astype("u1")),
             "color": SKIN,
         },
-        "grasps": grasps.report(),
+        "grasps": [record | {"caption": caption(record)} for record in grasps.report()],
     }
     # "<" must not end the script that holds the data, whatever the mesh is called.
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")

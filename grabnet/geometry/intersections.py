@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from grabnet.geometry.kernels import intersections as kernels
+from grabnet.geometry.kernels import queries
 from grabnet.geometry.kernels.launch import launch
 
 
@@ -59,6 +60,20 @@ class MovingMesh:
             beyond |= (self.vertices[:, axis] > high[axis]) * np.uint8(8 << axis)
         a, b, c = self._corners
         return (beyond[a] & beyond[b] & beyond[c] == 0).nonzero()[0]
+
+    def closest(
+        self, points: np.ndarray, max_distance: float = 1e3, faces: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Face (N,), -1 beyond `max_distance`, and position (N, 3) nearest to each point, among the chosen `faces`."""
+        points = torch.from_numpy(np.ascontiguousarray(points, np.float32))
+        face = torch.full((len(points),), -1, dtype=torch.int32)
+        position, distance = torch.zeros_like(points), torch.zeros(len(points))
+        items = [points, distance, position, face]
+        if len(points) and faces is None:
+            launch(queries.closest_point, items, [self.mesh.id, max_distance])
+        elif len(points):
+            launch(queries.closest_of_faces, items, [self.mesh.id, max_distance, torch.from_numpy(faces)])
+        return face.numpy(), position.numpy()
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:

@@ -120,6 +120,17 @@ class Mesh:
         return points.astype(np.float32), (normals[face] / doubled_area[face, None]).astype(np.float32)
 
 
+def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return (..., V) float64: a third of the area of the faces (F, 3) around each of vertices (..., V, 3)."""
+    a, b, c = np.moveaxis(np.asarray(vertices, np.float64)[..., faces, :], -2, 0)
+    third = np.linalg.norm(np.cross(b - a, c - a), axis=-1) / 6
+    areas = np.zeros(vertices.shape[:-1])
+    flat, shares = areas.reshape(-1, areas.shape[-1]), third.reshape(-1, third.shape[-1])
+    for row, share in zip(flat, shares, strict=True):
+        row += np.bincount(faces.ravel(), np.repeat(share, 3), minlength=len(row))
+    return areas
+
+
 def load_mesh(path: str | Path, weld: bool = True) -> Mesh:
     """Read a mesh as `read_mesh` does, with a warning that says what was mended."""
     mesh = read_mesh(path, weld)

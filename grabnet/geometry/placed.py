@@ -46,6 +46,13 @@ class PlacedObjects:
         """Signed distances (B, N) in metres of world points (B, N, 3) to the surface, negative inside."""
         return self.atlas(points, self.index, self.rotations, self.centres)
 
+    def surface(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Signed distances (B, N) in metres of world points (B, N, 3), and their gradients (B, N, 3) in the world.
+
+        Near the surface the gradient is the unit normal, outward. Only the distances are differentiable.
+        """
+        return self.atlas.with_gradient(points, self.index, self.rotations, self.centres)
+
     @full_precision
     def basis_distances(self, basis: Tensor) -> Tensor:
         """Unsigned distances (B, P) in metres of world points (P, 3) to each element's object: see `basis_samples`."""

@@ -81,6 +81,14 @@ class MeshQuery:
         launch(kernels.closest_point, [points, distance, position, face], [self._mesh.id, max_distance])
         return Closest(position, distance, face.long())
 
+    def first_hit(self, start: Tensor, end: Tensor) -> Tensor:
+        """Share (N,) of the way from `start` (N, 3) to `end` (N, 3) at which it first meets the surface; +inf where it
+        does not."""
+        start, end = _prepared(start), _prepared(end)
+        share = start.new_full((len(start),), math.inf)
+        launch(kernels.first_hit, [start, end, share], [self._mesh.id])
+        return share
+
 
 def _probes(mesh: Mesh) -> Tensor:
     """Half of them anywhere in the bounding box, half near the surface."""

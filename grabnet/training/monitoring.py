@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,9 @@ from grabnet.cli.checks import Amount, Count, Seed
 from grabnet.contact.contacts import Contacts
 from grabnet.data.batches import GraspBatch
 from grabnet.data.datamodule import GraspDataModule
+from grabnet.grasping.grasp_hand import GraspHand
+from grabnet.grasping.interior import Interior
+from grabnet.grasping.walls import depth_through_walls
 from grabnet.training.modules import GraspTraining
 from grabnet.visual.pictures import SKIN, Shape, can_render, contact_sheet, save_image
 from grabnet.visual.views import both_sides
@@ -42,7 +46,7 @@ class GraspMonitor(L.Callback):
     def __init__(self, grasps: Count, pictures: Amount, draw_every_n_epochs: Count, folder: str, seed: Seed):
         self.n_grasps, self.n_pictures, self.draw_every_n_epochs = grasps, pictures, draw_every_n_epochs
         self.folder, self.seed = Path(folder), seed
-        self.finger: Tensor | None = None
+        self.hand: GraspHand | None = None
 
     @torch.no_grad()
     def on_validation_epoch_end(self, trainer: L.Trainer, pl_module: GraspTraining) -> None:
@@ -53,15 +57,20 @@ class GraspMonitor(L.Callback):
             torch.manual_seed(self.seed)
             batch = data.assemble("val", chosen.to(device))
             vertices = pl_module.grasp(batch)
-        if self.finger is None:
-            self.finger = Anatomy.of(data.hand).finger
+        if self.hand is None:
+            model = deepcopy(data.hand).cpu()
+            self.hand = GraspHand(model, Anatomy.of(model), model.shapedirs.new_zeros(model.shapedirs.shape[-1]))
+            self.interior = Interior.of(self.hand)
         contacts = Contacts(
             distances=batch.objects.signed_distances(vertices),
-            finger=self.finger.to(device),
+            finger=self.hand.anatomy.finger.to(device),
             contact_distance=data.contact_distance,
         )
+        posed = self.interior.posed(vertices)
+        through = depth_through_walls(batch.objects.signed_distances, self.hand, posed).amax(1)
         figures = {
             "max_penetration_mm": 1000 * contacts.max_penetration,
+            "through_mm": through,
             "pinched": contacts.pinched.float(),
             "contact_vertices": contacts.contact_vertices.sum(1).float(),
         }
@@ -69,9 +78,11 @@ class GraspMonitor(L.Callback):
             pl_module.log(f"val_grasps/{name}", values.mean(), batch_size=1, sync_dist=True)  # alike in all processes
         due = (trainer.current_epoch + 1) % self.draw_every_n_epochs == 0
         if due and self.n_pictures and trainer.is_global_zero:
-            self._draw(trainer, batch, vertices, contacts)
+            self._draw(trainer, batch, vertices, contacts, through)
 
-    def _draw(self, trainer: L.Trainer, batch: GraspBatch, vertices: Tensor, contacts: Contacts) -> None:
+    def _draw(
+        self, trainer: L.Trainer, batch: GraspBatch, vertices: Tensor, contacts: Contacts, through: Tensor
+    ) -> None:
         if reason := can_render():
             log.warning(reason)
             self.n_pictures = 0
@@ -86,7 +97,8 @@ class GraspMonitor(L.Callback):
             solid = (mesh.vertices - centre) @ batch.objects.rotations[k].mT.cpu().numpy()
             hand = Shape(vertices[k].cpu(), faces.cpu(), SKIN)
             tiles.append(both_sides(Shape(solid, mesh.faces), hand, np.array([0.0, 0, 1]), np.array([0.0, 1, 0]), 200))
-            captions.append(f"{objects.names[number]}: {1000 * contacts.max_penetration[k]:.1f} mm deep")
+            deep = f"{1000 * contacts.max_penetration[k]:.1f} mm deep, {through[k]:.0f} mm through walls"
+            captions.append(f"{objects.names[number]}: {deep}")
         sheet = contact_sheet(tiles, captions)
         save_image(self.folder / f"epoch_{trainer.current_epoch:04d}.png", sheet)
         for logger in trainer.loggers:

@@ -44,7 +44,17 @@ def runs(grabber, tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def arguments(runs, tiny_dataset, cache_dir) -> list[str]:
     """For four grasps of the ring, those of the can being for validation."""
-    few = ["n=4", "halo_samples=3", "draws=50", "pictures=0", "scenes=1", "processes=1", "reconstruction=false"]
+    few = [
+        "n=4",
+        "halo_samples=3",
+        "draws=50",
+        "pictures=0",
+        "scenes=1",
+        "processes=1",
+        "reconstruction=false",
+        "optimise=0",
+        "candidates=1",
+    ]
     data = ["data=frames", f"data.root={tiny_dataset}", "data.split.val=[can]", "data.split.test=[ring]"]
     places = ["models=[newest]", f"runs={runs}", f"cache_dir={cache_dir}", f"data.cache_dir={cache_dir}"]
     return [*data, "data.object_points=64", *few, "simulated=0", *places]
@@ -435,3 +445,17 @@ def test_poses_turned_by_hand(made, tiny_dataset, hand):
     np.testing.assert_allclose(hands.vertices, meshes.vertices, atol=1e-5)
     assert read_grasps(made / "meshes", "can", tiny_dataset / OBJECT_MESHES / "can.ply", hand, 2) is None
     assert torch.as_tensor(hands.hand_pose).shape == (2, 15, 3, 3)
+
+
+def test_rows_show_what_optimisation_candidates_and_learning_add(call):
+    found = results(call("optimise=2", "candidates=2", "n=2"))
+    assert list(found["rows"]) == [
+        "Ground truth",
+        "Naive baseline",
+        "Naive baseline, optimised, best of 2",
+        "Templates, optimised, best of 2",
+        "CoarseNet",
+        "CoarseNet + RefineNet",
+        "CoarseNet + RefineNet, optimised",
+        "CoarseNet + RefineNet, optimised, best of 2",
+    ]

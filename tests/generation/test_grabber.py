@@ -103,7 +103,7 @@ def test_a_grasp_depends_on_seed_and_number_alone(grabber, block, cache_dir, gra
 
 
 def test_batch_size_changes_nothing_but_rounding(grabber, block, cache_dir, grasps):
-    whole = Grabber(grabber.generator, grabber.hand, batch_size=64, n_turns=12)
+    whole = Grabber(grabber.generator, grabber.hand, batch_size=64, n_turns=12, optimise=0, candidates=1)
     again = whole(block, 20, seed=3, cache_dir=cache_dir)
     torch.testing.assert_close(again.vertices, grasps.vertices, atol=1e-5, rtol=0)
 
@@ -155,7 +155,7 @@ def test_betas_shape_the_hand(grabber, block, cache_dir, hand):
 
 def test_without_refinenet_the_guess_is_the_grasp(grabber, block, cache_dir, hand):
     """CoarseNet decoded by hand, from the exact BPS and the world's own numbers."""
-    coarse = Grabber(GrabNet(grabber.generator.coarsenet), hand, batch_size=16)
+    coarse = Grabber(GrabNet(grabber.generator.coarsenet), hand, batch_size=16, optimise=0, candidates=1)
     grasps = coarse(block, 4, 9, orientation="fixed", cache_dir=cache_dir)
     basis = grabber.generator.coarsenet.bps.basis.numpy() + block.centroid
     bps = torch.tensor(np.abs(box_distance(basis, block.bounds.mean(0), SIZES)), dtype=torch.float32)
@@ -229,14 +229,14 @@ class Calls(TorchDispatchMode):
 
 
 def test_many_grasps_take_no_more_calls_than_few(grabber, block, cache_dir):
-    """No loop over the grasps of a batch."""
+    """No loop over the grasps of a batch, but for those whose pieces are counted as the object cuts them."""
     grabber(block, 1, cache_dir=cache_dir)  # the object's atlas is made once
     counts = []
     for n in (2, grabber.batch_size):
         with Calls() as calls:
             grabber(block, n, cache_dir=cache_dir)
         counts.append(calls.count)
-    assert 100 < counts[1] < 1.05 * counts[0]
+    assert 100 < counts[1] < 1.2 * counts[0]
 
 
 def test_the_shipped_networks_grasp_a_file(tmp_path, cache_dir):
@@ -283,3 +283,64 @@ def test_grasps_do_not_depend_on_where_the_vertices_crowd(grabber, cache_dir):
     one, other = (grabber(mesh, 3, 0, cache_dir=cache_dir) for mesh in meshes)
     torch.testing.assert_close(one.object_transform, other.object_transform, atol=1e-6, rtol=0)
     torch.testing.assert_close(one.vertices, other.vertices, atol=5e-4, rtol=0)
+
+
+@pytest.fixture(scope="module")
+def choosy(grabber) -> Grabber:
+    """Optimises shortly, and chooses among three for each grasp."""
+    return grabber.changed(optimise=8, candidates=3)
+
+
+@pytest.fixture(scope="module")
+def chosen(choosy, block, cache_dir):
+    return choosy(block, 20, seed=3, cache_dir=cache_dir)
+
+
+def test_a_chosen_grasp_depends_on_seed_and_number_alone(choosy, chosen, block, cache_dir):
+    for n in (1, 6, 17):
+        fewer = choosy(block, n, seed=3, cache_dir=cache_dir)
+        assert torch.equal(fewer.vertices, chosen.vertices[:n]), n
+        assert fewer.ranked.kept.index.tolist() == chosen.ranked.kept.index[:n].tolist()
+        assert fewer.report() == chosen.report()[:n]
+
+
+def test_chosen_grasps_are_candidates_in_their_own_frames(grabber, block, cache_dir, choosy, chosen):
+    """The same hands as when all of the candidates are kept, in the order drawn."""
+    everyone = choosy.changed(candidates=1)(block, 64, seed=3, cache_dir=cache_dir)
+    number = chosen.ranked.kept.index
+    assert len(number.unique()) == 20
+    torch.testing.assert_close(chosen.vertices, everyone.vertices[number], atol=1e-6, rtol=0)
+    torch.testing.assert_close(chosen.object_transform, everyone.object_transform[number])
+
+
+def test_optimised_and_chosen_grasps_hold_better(grabber, block, cache_dir, choosy, chosen):
+    drawn = grabber(block, 20, seed=3, cache_dir=cache_dir)
+    optimised = choosy.changed(optimise=30, candidates=1)(block, 20, seed=3, cache_dir=cache_dir)
+    best = choosy.changed(optimise=30)(block, 20, seed=3, cache_dir=cache_dir)
+    depth = [grasps.contacts.max_penetration.mean() for grasps in (drawn, optimised, best)]
+    held = [grasps.contacts.pinched.float().mean() for grasps in (drawn, optimised, best)]
+    assert depth[1] < 0.5 * depth[0]
+    assert held[0] < held[1] <= held[2]
+    assert depth[2] <= depth[1]
+
+
+def test_the_score_adds_up_what_is_reported(chosen):
+    rows = chosen.report()
+    assert rows[0]["nearest_mm"] is None
+    assert all(row["nearest_mm"] > 0 for row in rows[1:])
+    assert all(np.isfinite(list(row["score"].values())).all() for row in rows)
+    totals = [sum(row["score"].values()) for row in rows]
+    # The first is the best of its pool, but for what rounding in the report hides.
+    assert totals[0] == pytest.approx(min(totals[:5]), abs=0.05)
+
+
+def test_left_hands_are_optimised_and_chosen_as_the_mirror_image(choosy, chosen, block, cache_dir):
+    mirrored = Mesh(block.vertices * [-1, 1, 1], block.faces[:, ::-1])
+    left = choosy(mirrored, 6, 3, "left", cache_dir=cache_dir)
+    torch.testing.assert_close(left.vertices * torch.tensor([-1.0, 1, 1]), chosen.vertices[:6], atol=2e-3, rtol=0)
+
+
+@pytest.mark.parametrize("wrong", [{"optimise": -1}, {"candidates": 0}])
+def test_numbers_that_ask_for_nothing_are_refused(grabber, wrong):
+    with pytest.raises(UserError, match=next(iter(wrong))):
+        grabber.changed(**wrong)

@@ -38,7 +38,7 @@ def call(runs, cache_dir, tmp_path):
     config = OmegaConf.to_container(OmegaConf.load(CONFIGS / "sample" / "sample.yaml"))
     defaults = {k: v for k, v in config.items() if k not in ("_target_", "defaults", "hydra")}
     few = {"n": 2, "model": "newest", "runs": str(runs), "cache_dir": str(cache_dir), "output": str(tmp_path / "out")}
-    quick = {"sheet": 0, "page": 0, "format": None, "batch_size": 4}
+    quick = {"sheet": 0, "page": 0, "format": None, "batch_size": 4, "optimise": 0, "candidates": 1}
 
     def call(**values) -> int:
         return sample(SamplingConfig(**(defaults | few | quick | values)))

@@ -149,7 +149,12 @@ def test_it_is_sampled(run, hand, cache_dir, tiny_dataset, tmp_path):
 
     assert (
         sample(
-            instantiate(compose("sample/sample", [*values, "orientation=fixed", "page=0", "sheet=0"]), _convert_="all")
+            instantiate(
+                compose(
+                    "sample/sample", [*values, "orientation=fixed", "optimise=0", "candidates=1", "page=0", "sheet=0"]
+                ),
+                _convert_="all",
+            )
         )
         == 0
     )
@@ -168,7 +173,17 @@ def test_it_is_evaluated(run, tiny_dataset, cache_dir, tmp_path):
 
     values = ["data=frames", f"data.root={tiny_dataset}", "data.split.val=[can]", "data.split.test=[ring]"]
     values += ["data.object_points=64", f"data.cache_dir={cache_dir}", f"cache_dir={cache_dir}", f"output={tmp_path}"]
-    values += [f"models=[{run}]", "n=3", "draws=20", "pictures=0", "scenes=0", "processes=1", "simulated=0"]
+    values += [
+        f"models=[{run}]",
+        "n=3",
+        "optimise=0",
+        "candidates=1",
+        "draws=20",
+        "pictures=0",
+        "scenes=0",
+        "processes=1",
+        "simulated=0",
+    ]
     assert evaluate(instantiate(compose("evaluate", values), _convert_="object")) == 0
     found = json.loads((tmp_path / "metrics.json").read_text())
     assert list(found["rows"]) == ["Ground truth", "Naive baseline", "ToyNet"]
@@ -195,7 +210,7 @@ def test_what_could_not_be_used_is_refused_before_it_is_trained(config, tmp_path
 def test_results_are_ordinary_tensors(run, hand, tiny_dataset, cache_dir, tmp_path):
     """Something can be optimised from them, and they are written as the script writes them."""
     mesh = tiny_dataset / "tools/object_meshes/contact_meshes/block.ply"
-    grasps = Grabber.from_pretrained(run, hand)(mesh, 2, cache_dir=cache_dir)
+    grasps = Grabber.from_pretrained(run, hand, optimise=0, candidates=1)(mesh, 2, cache_dir=cache_dir)
     transl = grasps.parameters.transl.clone().requires_grad_()
     hand(grasps.parameters._replace(transl=transl)).vertices.square().mean().backward()
     assert transl.grad.abs().sum() > 0

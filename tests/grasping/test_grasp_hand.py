@@ -6,14 +6,10 @@ from grabnet.body.anatomy import FINGERS
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.openings import close
 from grabnet.geometry.queries import MeshQuery
-from grabnet.geometry.rotations import random_rotations
+from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.grasping.grasp_hand import GraspHand, GraspPose
 
-
-def poses(n: int, seed: int = 0) -> GraspPose:
-    generator = torch.Generator().manual_seed(seed)
-    angles = 0.6 * torch.rand(n, 21, generator=generator)
-    return GraspPose(random_rotations(n, generator), 0.2 * torch.randn(n, 3, generator=generator), angles)
+from .conftest import poses
 
 
 def test_skin_is_that_of_the_hand_model(model, anatomy):
@@ -43,7 +39,29 @@ def test_spheres_move_rigidly_with_their_bones(hand):
 
 
 def test_pads_name_vertices_of_the_anatomys_pads(anatomy, hand):
+    assert len(hand.sample[hand.sampled_once].unique()) >= 0.9 * int(hand.sampled_once.sum())
     for name, members, mask in zip(hand.pad_names, hand.pads, hand.pad_mask, strict=True):
         chosen = hand.sample[members[mask]]
         assert torch.isin(chosen, anatomy.pads[name]).all()
         assert len(chosen.unique()) == len(chosen) > 0
+
+
+def test_parameters_and_back_is_the_same_pose(hand, left):
+    pose = poses(8)
+    for either in (hand, left):
+        pose = pose._replace(angles=pose.angles.clamp(*either.anatomy.angle_limits.T))
+        for ours, expected in zip(either.pose_of(either.parameters(pose)), pose, strict=True):
+            torch.testing.assert_close(ours, expected, atol=1e-5, rtol=0)
+
+
+def test_what_no_hand_can_do_is_left_out_of_a_pose(hand):
+    beyond = poses(4)
+    beyond.angles[:, 2] = 2.5  # of 1.8
+    parameters = hand.parameters(beyond)
+    sideways = axis_angle_to_matrix(0.4 * hand.anatomy.frame[1].expand(4, 3))
+    parameters.hand_pose[:, 2] = parameters.hand_pose[:, 2] @ sideways  # a fingertip
+    low, high = hand.anatomy.angle_limits.T
+    angles = hand.pose_of(parameters).angles
+    assert ((angles >= low) & (angles <= high)).all()
+    _, left_over = hand.anatomy.angles(hand.parameters(hand.pose_of(parameters)).hand_pose)
+    assert left_over.abs().max() < 1e-3

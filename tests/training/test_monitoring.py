@@ -75,6 +75,8 @@ def test_true_grasps_are_measured_as_they_are(data, hand, tmp_path):
         "contact_vertices": float(touching.sum()) / 7,
     }
     assert expected["max_penetration_mm"] > 5 and 0 < expected["pinched"] <= 1
+    # Of lines that end at those vertices, none is in the object by less than its end.
+    assert found.pop("through_mm") >= expected["max_penetration_mm"]
     assert found == pytest.approx(expected, rel=0.02)
     if can_render() is None:
         image = Image.open(tmp_path / "epoch_0000.png")

@@ -12,6 +12,7 @@ from grabnet.evaluation.inputs import EvaluationInputs
 from grabnet.evaluation.metrics import Metric, Section
 from grabnet.evaluation.protocol import PerGrasp
 from grabnet.evaluation.scene import GraspScene
+from grabnet.geometry.mesh import vertex_areas
 
 PARTS = (*FINGERS, "palm")
 _CONTACT = Section("Contact")
@@ -84,14 +85,3 @@ class FingerContact(PerGrasp):
             results["fingers"] = fingers.sum(1).astype(float)
             results["pinched"] = (fingers[:, 0] & fingers[:, 1:].any(1)).astype(float)
         return results
-
-
-def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Return (..., V) float64: a third of the area of the faces (F, 3) around each of vertices (..., V, 3)."""
-    a, b, c = np.moveaxis(np.asarray(vertices, np.float64)[..., faces, :], -2, 0)
-    third = np.linalg.norm(np.cross(b - a, c - a), axis=-1) / 6
-    areas = np.zeros(vertices.shape[:-1])
-    flat, shares = areas.reshape(-1, areas.shape[-1]), third.reshape(-1, third.shape[-1])
-    for row, share in zip(flat, shares, strict=True):
-        row += np.bincount(faces.ravel(), np.repeat(share, 3), minlength=len(row))
-    return areas

@@ -1,4 +1,5 @@
-"""Protocols `diversity`, `novelty` and `coverage`: how varied grasps are, how new, how many true ones they reach."""
+"""Protocols `diversity`, `novelty`, `coverage`, and the clusters of `volco`: how varied grasps are, how new, how many
+true ones they reach."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from grabnet.evaluation.bootstrap import Estimate, mean, statistic
 from grabnet.evaluation.hands import HandLabels
 from grabnet.evaluation.inputs import EvaluationInputs
 from grabnet.evaluation.methods import Method
-from grabnet.evaluation.metrics import FIELD, HAND, Metric
+from grabnet.evaluation.metrics import FIELD, HAND, VOLCO, Metric
 from grabnet.evaluation.protocol import MeasuredGrasps, PerMethod, PerObject
 from grabnet.evaluation.recorded import held_out
 
@@ -51,7 +52,10 @@ class Diversity(PerMethod):
 
     def __call__(self, method: Method) -> dict[str, Estimate]:
         points = [self.labels.keypoints(hands) for hands in method.hands.values()]
-        if any(p is None for p in points) or (clusters := cluster(np.concatenate(points), self.seed)) is None:
+        if any(p is None for p in points):
+            return {}
+        clusters = cluster(self.coordinates(np.concatenate(points)), self.seed)
+        if clusters is None:
             return {}
 
         def of_shares(index: np.ndarray) -> float:
@@ -61,6 +65,33 @@ class Diversity(PerMethod):
             "entropy": statistic(len(clusters.label), of_shares, self.draws, self.seed),
             "cluster_size": mean([clusters.distance], self.draws, self.seed),
         }
+
+    def coordinates(self, keypoints: np.ndarray) -> np.ndarray:
+        """(N, 63) what is clustered: keypoints (N, 21, 3) metres in each hand's own frame, in cm."""
+        return 100 * keypoints.reshape(len(keypoints), -1)
+
+
+class WhitenedDiversity(Diversity):
+    """The same of whitened keypoints: each coordinate in its standard deviations over these hands (ref. 9)."""
+
+    name = "volco"
+
+    def __init__(self, labels: HandLabels, draws: int, seed: int):
+        super().__init__(labels, draws, seed)
+        highest = f"of the shares of {N_CLUSTERS} clusters of whitened keypoints; at most {np.log(N_CLUSTERS):.2f}"
+        size = "mean distance of the whitened keypoints to their cluster's centre, in standard deviations"
+        shown = {"section": VOLCO, "per_grasp": False, "of_hand_alone": True}
+        self.metrics = (
+            Metric("volco", "entropy", "nats", highest, "higher", **shown),
+            Metric("volco", "cluster_size", "", size, "higher", **shown),
+        )
+
+    def coordinates(self, keypoints: np.ndarray) -> np.ndarray:
+        """(N, 63) of keypoints (N, 21, 3); 0 where all hands agree."""
+        flat = keypoints.reshape(len(keypoints), -1)
+        spread = flat.std(0)
+        moves = spread > 1e-9
+        return np.where(moves, (flat - flat.mean(0)) / np.where(moves, spread, 1), 0)
 
 
 class Novelty(PerObject):
@@ -116,18 +147,17 @@ class Coverage(PerObject):
 
 
 class Clusters(NamedTuple):
-    """label (N,) of each hand's cluster, and distance (N,) to its centre, cm."""
+    """label (N,) of each hand's cluster, and distance (N,) to its centre."""
 
     label: np.ndarray
     distance: np.ndarray
 
 
-def cluster(keypoints: np.ndarray, seed: int, k: int = N_CLUSTERS) -> Clusters | None:
-    """Return clusters of hands, all objects together, by k-means (ref. 9, `diversity`).
+def cluster(points: np.ndarray, seed: int, k: int = N_CLUSTERS) -> Clusters | None:
+    """Return clusters of hands, all objects together, by k-means (ref. 9).
 
     Args:
-        keypoints: (N, 21, 3) metres in each hand's own frame, as `HandLabels.keypoints` gives them; in cm they are the
-            63 dimensions.
+        points: (N, D) coordinates.
         seed: of k-means.
         k: clusters.
 
@@ -136,7 +166,6 @@ def cluster(keypoints: np.ndarray, seed: int, k: int = N_CLUSTERS) -> Clusters |
     """
     from sklearn.cluster import KMeans  # here: an extra, which only evaluation needs
 
-    points = 100 * keypoints.reshape(len(keypoints), -1)
     if len(points) < k:
         return None
     fitted = KMeans(k, n_init=10, random_state=seed).fit(points)

@@ -9,10 +9,10 @@ import numpy as np
 from grabnet.evaluation.inputs import EvaluationInputs
 from grabnet.evaluation.metrics import Metric, Section
 from grabnet.evaluation.protocol import MeasuredGrasps, PerGrasp, PerObject
-from grabnet.evaluation.protocols.contact import vertex_areas
 from grabnet.evaluation.protocols.contact_maps import ContactMaps
 from grabnet.evaluation.recorded import held_out, same_sequence
 from grabnet.evaluation.scene import GraspScene
+from grabnet.geometry.mesh import vertex_areas
 
 _CLOSEST = Section(
     "Closest ground truth",

@@ -12,6 +12,7 @@ from grabnet.evaluation.inputs import EvaluationInputs
 from grabnet.evaluation.metrics import HAND, Metric
 from grabnet.evaluation.protocol import PerGrasp
 from grabnet.evaluation.scene import GraspScene
+from grabnet.grasping.joints import beyond_limits
 
 # Degrees beyond a limit that do not count: poses are kept in half precision in places.
 _TOLERANCE = 1.0
@@ -63,11 +64,9 @@ class Posture(PerGrasp):
 
 def joint_limits(labels: HandLabels, hand_pose: np.ndarray) -> dict[str, np.ndarray]:
     """Return violations, excess and off_axis (N,) of joint rotations (N, 15, 3, 3); see `Posture`."""
-    angles, left = labels.anatomy.angles(torch.as_tensor(hand_pose))
-    low, high = labels.anatomy.angle_limits.T
-    beyond = torch.rad2deg(torch.maximum(low - angles, angles - high)).clamp_min(0)
+    beyond, off_axis = beyond_limits(labels.anatomy, torch.as_tensor(hand_pose))
     return {
         "violations": (beyond > _TOLERANCE).sum(1).double().numpy(),
         "excess": beyond.amax(1).double().numpy(),
-        "off_axis": torch.rad2deg(left).amax(1).double().numpy(),
+        "off_axis": off_axis.amax(1).double().numpy(),
     }

@@ -1,4 +1,4 @@
-"""Protocols `grasptta` and `shake`: whether the hand holds the object, by the simulation of `drop_test`.
+"""Protocols `grasptta`, `shake` and `volco`: whether the hand holds the object, by the simulation of `drop_test`.
 
 A simulation that fails has no displacement and is no success either: it counts as failed, and as nothing else. Where an
 object can't be simulated, all of its grasps fail.
@@ -20,7 +20,7 @@ from joblib import Parallel, delayed
 from grabnet.body.hand import HandModel
 from grabnet.cli.progress import track
 from grabnet.evaluation.inputs import EvaluationInputs
-from grabnet.evaluation.metrics import FIELD, Metric
+from grabnet.evaluation.metrics import FIELD, VOLCO, Metric
 from grabnet.evaluation.protocol import PerGrasp
 from grabnet.evaluation.protocols.drop_test import Outcome, PhysicsConfig, Simulator, engines
 from grabnet.evaluation.scene import GraspScene
@@ -28,11 +28,13 @@ from grabnet.geometry.mesh import Mesh
 from grabnet.io.files import sha256
 from grabnet.physics.decomposition import DecompositionConfig, DecompositionError, convex_pieces
 
+# cm that the object moves at most where `volco` calls a grasp stable.
+_STABLE = 2.0
 _FAILED = "share of grasps whose simulation failed; they count in no other figure"
 
 
 class _Simulated(PerGrasp):
-    """Base of both protocols; they share one simulation of each grasp. Up is z of the object's mesh.
+    """Base of all three; they share one simulation of each grasp. Up is z of the object's mesh.
 
     Args:
         hand: whose vertices the hands have; what is simulated is missing for others.
@@ -140,6 +142,29 @@ class Shake(_Simulated):
             return _missing(self.metrics, len(scene.hands))
         shaken = [outcome for _, outcome in outcomes]
         return _results(shaken) | {"success": _numbers([outcome.success for outcome in shaken])}
+
+
+class Stability(_Simulated):
+    """displacement: as in `grasptta`, cm; stable: 1 where it is less than 2 cm."""
+
+    name = "volco"
+
+    def __init__(self, hand: HandModel, config: PhysicsConfig, cache_dir: str | Path | None, samples: int):
+        super().__init__(hand, config, cache_dir, samples)
+        moved = "how far the object's centre moves when let go, as in grasptta (SD)"
+        stable = f"share of grasps in which it moves less than {_STABLE:g} cm"
+        self.metrics = (
+            Metric("volco", "displacement", "cm", moved, "lower", samples, VOLCO),
+            Metric("volco", "stable", "%", stable, "higher", samples, VOLCO),
+        )
+
+    def __call__(self, scene: GraspScene) -> dict[str, np.ndarray]:
+        outcomes = self._outcomes(scene)
+        if outcomes is None:
+            return _missing(self.metrics, len(scene.hands))
+        results = _results([outcome for outcome, _ in outcomes])
+        moved = results["displacement"]
+        return results | {"stable": np.where(np.isnan(moved), np.nan, moved < _STABLE)}
 
 
 def _results(outcomes: Sequence[Outcome]) -> dict[str, np.ndarray]:

@@ -166,7 +166,11 @@ def _reported(metrics: Sequence[Metric]) -> str:
         return ""
     names = [f"{m.name} [{m.unit}]" for m in columns]
     lines = [f"<tr><th class=metric>reported by others</th>{_heads(names)}</tr>"]
-    lines += [_marks(work, [marks.get(m.title) for m in columns]) for work, marks in published.BY_OTHERS.items()]
+    lines += [
+        _marks(work, [marks.get(m.title) for m in columns])
+        for work, marks in published.BY_OTHERS.items()
+        if any(m.title in marks for m in columns)
+    ]
     return _table(lines)
 
 
@@ -213,8 +217,13 @@ def _pictures(findings: Findings, n: int, cache: Cache) -> str:
 
 
 def _caption(metrics: Sequence[Metric], method: Method, object_name: str, i: int) -> str:
-    values = ((m, method.results[object_name].get(m.title, ())) for m in metrics if m.caption)
-    return ", ".join(m.caption.format(v[i] * m.scale) for m, v in values if i < len(v) and np.isfinite(v[i]))
+    words = []
+    for metric in metrics:
+        values = method.results[object_name].get(metric.title, ()) if metric.caption or metric.mark else ()
+        if i < len(values) and np.isfinite(values[i]):
+            words += [metric.caption.format(values[i] * metric.scale)] if metric.caption else []
+            words += [metric.mark] if metric.mark and values[i] else []
+    return ", ".join(words)
 
 
 def _titled(metric: Metric) -> str:

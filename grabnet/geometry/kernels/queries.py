@@ -108,3 +108,19 @@ def signed_distance(
     if query.result:
         position = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
         distance[i] = query.sign * wp.length(position - p)
+
+
+@wp.kernel
+def first_hit(
+    mesh: wp.uint64,
+    start: wp.array(dtype=wp.vec3),
+    end: wp.array(dtype=wp.vec3),
+    share: wp.array(dtype=float),
+):
+    i = wp.tid()
+    way = end[i] - start[i]
+    length = wp.length(way)
+    if length > 0.0:
+        query = wp.mesh_query_ray(mesh, start[i], way / length, length)
+        if query.result:
+            share[i] = query.t / length

@@ -16,9 +16,9 @@ from grabnet.body.hand import OPEN_HANDS
 from grabnet.cli.progress import track
 from grabnet.errors import UserError
 from grabnet.geometry.rotations import matrix_to_axis_angle
+from grabnet.grasping.proposing.proposals import KIND_NAMES
 from grabnet.io.files import sha256, write_json
 from grabnet.io.provenance import provenance
-from grabnet.open.grasps.proposals import KIND_NAMES
 from grabnet.open.grasps.store import OpenGrasps, save_open_grasps
 from grabnet.open.grasps.synthesise import (
     GENDERS,

@@ -11,10 +11,10 @@ from torch.nn.functional import normalize
 
 from grabnet.body.anatomy import FINGERS
 from grabnet.grasping.grasp_hand import FOREARM_RADIUS, GraspHand, GraspPose
+from grabnet.grasping.proposing.grasped_object import GraspedObject
+from grabnet.grasping.proposing.posture import PostureConfig, discomfort
+from grabnet.grasping.proposing.proposals import Proposals
 from grabnet.grasping.walls import crossing, depth_through_walls
-from grabnet.open.grasps.posture import PostureConfig, discomfort
-from grabnet.open.grasps.proposals import Proposals
-from grabnet.open.grasps.scene import SynthesisScene
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class GraspMeasures(NamedTuple):
 
 
 def measure(
-    scene: SynthesisScene,
+    scene: GraspedObject,
     hand: GraspHand,
     pose: GraspPose,
     proposals: Proposals,
@@ -101,7 +101,7 @@ def measure(
         forearm=(FOREARM_RADIUS * 1e3 - config.forearm - forearm).amax(1),
         below_table=under.amax(1) * 1e3,
         opposed=opposed,
-        uneasy=discomfort(pose.rotation, proposals.on_table, proposals.forward, posture),
+        uneasy=discomfort(pose.rotation, hand.anatomy.frame, proposals.on_table, proposals.forward, posture),
         off_part=torch.maximum(low - centre, centre - high).relu().norm(dim=1) * 1e3,
         bend=(flexion[:, 1:] - flexion[:, :-1]).abs().amax((1, 2)),
     )

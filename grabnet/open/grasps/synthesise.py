@@ -17,14 +17,15 @@ from torch import Tensor
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
 from grabnet.grasping.grasp_hand import GraspHand, GraspPose
+from grabnet.grasping.proposing.grasped_object import GraspedObject
+from grabnet.grasping.proposing.posture import PostureConfig
+from grabnet.grasping.proposing.proposals import KIND_NAMES, ProposalConfig, propose
+from grabnet.grasping.proposing.templates import Template, TemplateConfig, build_templates, natural_limits
 from grabnet.open.grasps.checks import AcceptanceConfig, GraspMeasures, measure, verdicts
 from grabnet.open.grasps.energy import EnergyConfig
-from grabnet.open.grasps.optimise import OptimiserConfig, optimise
-from grabnet.open.grasps.posture import PostureConfig
-from grabnet.open.grasps.proposals import KIND_NAMES, ProposalConfig, propose
-from grabnet.open.grasps.scene import SynthesisScene
+from grabnet.open.grasps.optimise import SynthesisDescentConfig, optimise
+from grabnet.open.grasps.scene import open_object
 from grabnet.open.grasps.stability import StabilityConfig, cut, holds
-from grabnet.open.grasps.templates import Template, TemplateConfig, build_templates
 from grabnet.open.objects import OBJECTS
 from grabnet.physics.hand_pieces import hand_pieces
 from grabnet.physics.simulation import RigidBody
@@ -32,7 +33,7 @@ from grabnet.physics.simulation import RigidBody
 
 @dataclass(frozen=True)
 class SynthesisConfig:
-    """All numbers of a run. Angle limits narrow the anatomy's to what looks natural in a grasp, radians."""
+    """All numbers of a run."""
 
     per_object: int = 220
     subjects_per_object: int = 5  # of 10, a different selection for each object
@@ -41,14 +42,11 @@ class SynthesisConfig:
     hopeless: float = 0.08  # share of a batch below which no more of that half (on the table, or held) are sought
     betas_spread: float = 0.7  # of the shape coefficients, 1 being the population's
     size_by_sex: float = 0.8  # mean first coefficient (hand size) of men; women have its negative
-    mcp_extension: float = -0.15
-    thumb_mcp_extension: float = -0.1
-    thumb_ip_extension: float = -0.3
     templates: TemplateConfig = field(default_factory=TemplateConfig)
     proposals: ProposalConfig = field(default_factory=ProposalConfig)
     posture: PostureConfig = field(default_factory=PostureConfig)
     energy: EnergyConfig = field(default_factory=EnergyConfig)
-    optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
+    optimiser: SynthesisDescentConfig = field(default_factory=SynthesisDescentConfig)
     acceptance: AcceptanceConfig = field(default_factory=AcceptanceConfig)
     stability: StabilityConfig = field(default_factory=StabilityConfig)
 
@@ -84,27 +82,12 @@ def subject_betas(config: SynthesisConfig, seed: int) -> Tensor:
     return betas
 
 
-def angle_limits(anatomy: Anatomy, config: SynthesisConfig) -> Tensor:
-    """(21, 2) radians."""
-    limits = anatomy.angle_limits.clone()
-    lowest = {
-        "mcp_flexion": config.mcp_extension,
-        "thumb_mcp": config.thumb_mcp_extension,
-        "thumb_ip": config.thumb_ip_extension,
-    }
-    for i, name in enumerate(anatomy.angle_names):
-        for ending, value in lowest.items():
-            if name.endswith(ending):
-                limits[i, 0] = max(float(limits[i, 0]), value)
-    return limits
-
-
 def synthesise(names: Sequence[str], config: SynthesisConfig, seed: int, processes: int) -> Iterator[ObjectGrasps]:
     """Grasps of each object, as they are done; each depends on its name and the seed only."""
     torch.set_num_threads(1)  # sums in another order would give other grasps
     hand = HandModel.open()
     anatomy = Anatomy.of(hand)
-    limits = angle_limits(anatomy, config)
+    limits = natural_limits(anatomy, config.templates)
     templates = build_templates(GraspHand(hand, anatomy, torch.zeros(10)), limits, config.templates)
     plain = {kind: tuple(template) for kind, template in templates.items()}
     job = partial(_object_job, templates=plain, config=config, seed=seed)
@@ -118,14 +101,14 @@ def synthesise(names: Sequence[str], config: SynthesisConfig, seed: int, process
 
 def _object_job(name: str, templates: dict[str, tuple], config: SynthesisConfig, seed: int) -> ObjectGrasps:
     torch.set_num_threads(1)
-    scene = SynthesisScene.of(name)
+    scene = open_object(name)
     first = sorted(OBJECTS).index(name)
     chosen = [(first + 2 * i + (i >= 5)) % len(SUBJECTS) for i in range(config.subjects_per_object)]
     return grasp_object(scene, {k: Template(*t) for k, t in templates.items()}, chosen, config, seed)
 
 
 def grasp_object(
-    scene: SynthesisScene, templates: dict[str, Template], subjects: Sequence[int], config: SynthesisConfig, seed: int
+    scene: GraspedObject, templates: dict[str, Template], subjects: Sequence[int], config: SynthesisConfig, seed: int
 ) -> ObjectGrasps:
     """`config.per_object` grasps of one object, shared evenly between the subjects, half of them above a table.
 
@@ -134,7 +117,7 @@ def grasp_object(
     """
     hand_model = HandModel.open()
     anatomy = Anatomy.of(hand_model)
-    limits, betas = angle_limits(anatomy, config), subject_betas(config, seed)
+    limits, betas = natural_limits(anatomy, config.templates), subject_betas(config, seed)
     generator = torch.Generator().manual_seed(zlib.crc32(scene.name.encode()) + (seed << 32))
     rigid = _rigid(scene, config.stability)
     kept: list[_Batch] = []
@@ -198,14 +181,14 @@ class _Batch(NamedTuple):
     measures: GraspMeasures
 
 
-def _rigid(scene: SynthesisScene, config: StabilityConfig) -> RigidBody:
+def _rigid(scene: GraspedObject, config: StabilityConfig) -> RigidBody:
     points = torch.tensor(scene.mesh.vertices)
     inward = -torch.tensor(scene.mesh.trimesh().vertex_normals.copy(), dtype=torch.float32)
     first_exit = torch.zeros(len(points), dtype=torch.bool)
     return cut(scene.mesh, scene.thickness(points, inward, first_exit, reach=0.012).numpy(), config)
 
 
-def _gather(scene: SynthesisScene, kept: list[_Batch], counts: Counter, config: SynthesisConfig) -> ObjectGrasps:
+def _gather(scene: GraspedObject, kept: list[_Batch], counts: Counter, config: SynthesisConfig) -> ObjectGrasps:
     subject, kind, transl = (torch.cat(x) for x in list(zip(*kept, strict=True))[:3])
     measures = GraspMeasures(*(torch.cat(x) for x in zip(*(batch.measures for batch in kept), strict=True)))
     pose = GraspPose(*(torch.cat(x) for x in zip(*(batch.pose for batch in kept), strict=True)))

@@ -3,11 +3,11 @@ from __future__ import annotations
 import torch
 
 from grabnet.grasping.grasp_hand import GraspPose
+from grabnet.grasping.proposing.posture import PostureConfig
+from grabnet.grasping.proposing.proposals import Proposals
 from grabnet.open.grasps.checks import AcceptanceConfig, measure, verdicts
-from grabnet.open.grasps.posture import PostureConfig
-from grabnet.open.grasps.proposals import Proposals
 
-from .scenes import ClosedForm, ball
+from ...grasping.scenes import ClosedForm, ball
 
 
 def judged(scene, hand, angles=None, on_table=False):

@@ -6,17 +6,19 @@ from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import HandModel
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.grasping.grasp_hand import GraspHand, GraspPose
-from grabnet.open.grasps.energy import EnergyConfig, GraspEnergy
-from grabnet.open.grasps.posture import PostureConfig
-from grabnet.open.grasps.proposals import Proposals
-from grabnet.open.grasps.templates import KINDS
+from grabnet.grasping.proposing.posture import PostureConfig
+from grabnet.grasping.proposing.proposals import Proposals
+from grabnet.grasping.proposing.templates import KINDS
+from grabnet.grasping.spheres import overlaps
+from grabnet.open.grasps.energy import EnergyConfig, SynthesisEnergy
 
-from .scenes import ball
+from ...grasping.scenes import ball
 
 
-def test_gradient_matches_finite_differences(limits):
+def test_gradient_matches_finite_differences():
     model = HandModel.open(dtype=torch.float64)
     hand = GraspHand(model, Anatomy.of(model), torch.zeros(10, dtype=torch.float64))
+    hand.self_overlap = lambda spheres: overlaps(spheres, hand.apart).square().sum((1, 2)) / 2  # in double precision
     n = len(KINDS)
     generator = torch.Generator().manual_seed(1)
     angles = 0.3 + 0.4 * torch.rand(n, 21, generator=generator, dtype=torch.float64)
@@ -28,7 +30,7 @@ def test_gradient_matches_finite_differences(limits):
     proposals = Proposals(start, torch.arange(n), none, none == 0, forward)
     scene = ball(0.025, (0.0, -0.035, 0.0))
     scene.floor = -0.03
-    energy = GraspEnergy(scene, hand, proposals, angles + 0.1, limits.double(), EnergyConfig(), PostureConfig())
+    energy = SynthesisEnergy(scene, hand, proposals, angles + 0.1, EnergyConfig(), PostureConfig())
 
     def value(x):
         # So little softness that a pad is its deepest vertex: the shares, constants to autograd, then are constant.

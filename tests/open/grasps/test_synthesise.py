@@ -9,19 +9,21 @@ import trimesh
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.grasping.grasp_hand import GraspHand
-from grabnet.open.grasps.optimise import OptimiserConfig
-from grabnet.open.grasps.scene import SynthesisScene, part
+from grabnet.grasping.proposing.grasped_object import GraspedObject, part
+from grabnet.open.grasps.optimise import SynthesisDescentConfig
 from grabnet.open.grasps.synthesise import GENDERS, SynthesisConfig, grasp_object, subject_betas
 
-CONFIG = replace(SynthesisConfig(), per_object=10, batch=24, max_rounds=3, optimiser=OptimiserConfig(iterations=45))
+CONFIG = replace(
+    SynthesisConfig(), per_object=10, batch=24, max_rounds=3, optimiser=SynthesisDescentConfig(iterations=45)
+)
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory) -> SynthesisScene:
+def scene(tmp_path_factory) -> GraspedObject:
     torch.set_num_threads(1)
     ball = trimesh.creation.icosphere(4, 0.032)
     mesh = Mesh(ball.vertices, ball.faces)
-    return SynthesisScene("ball", mesh, [part(mesh, *mesh.bounds, 1.0, 2000, 0)], tmp_path_factory.mktemp("cache"))
+    return GraspedObject("ball", mesh, [part(mesh, *mesh.bounds, 1.0, 2000, 0)], tmp_path_factory.mktemp("cache"))
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@ from __future__ import annotations
 import torch
 
 from grabnet.grasping.grasp_hand import GraspPose
-from grabnet.open.grasps.templates import KINDS, regularity
+from grabnet.grasping.proposing.templates import KINDS, regularity
 
 
 def posed(hand, angles):
@@ -42,12 +42,12 @@ def test_templates_stay_within_limits_and_axes_are_orthonormal(templates, limits
         assert (template.closing * template.approach).sum(1).abs().max() < 1e-5
 
 
-def test_regularity_is_zero_for_fingers_bent_alike(limits):
+def test_regularity_is_zero_for_fingers_bent_alike():
     angles = torch.tensor([0.5, 0.0, 0.8, 0.48] * 4 + [0.0] * 5)[None]
-    for term in regularity(angles, limits, 0.6):
+    for term in regularity(angles, 0.6):
         torch.testing.assert_close(term, torch.zeros(1), atol=1e-9, rtol=0)
     crooked = angles.clone()
     crooked[0, 6] += 0.3  # the middle finger's PIP: its DIP no longer follows, nor do its neighbours
-    coupling, _, neighbours, _ = regularity(crooked, limits, 0.6)
+    coupling, _, neighbours = regularity(crooked, 0.6)
     torch.testing.assert_close(coupling, torch.tensor([(0.6 * 0.3) ** 2]))
     torch.testing.assert_close(neighbours, torch.tensor([2 * 0.3**2]))

@@ -10,7 +10,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class PostureConfig:
-    """Bounds on the heights (cosines with the vertical) of directions fixed to a right hand."""
+    """Bounds on the heights (cosines with the vertical) of directions fixed to the hand."""
 
     forearm_on_table: float = 0.0  # the forearm rises from a hand that takes something off the table
     forearm_held: float = -0.55  # of a lifted object the elbow may be below the hand
@@ -19,16 +19,18 @@ class PostureConfig:
     forward: float = 0.15  # cosine between the thumb's side and the working end of a tool
 
 
-def discomfort(rotation: Tensor, on_table: Tensor, forward: Tensor, config: PostureConfig) -> Tensor:
+def discomfort(rotation: Tensor, frame: Tensor, on_table: Tensor, forward: Tensor, config: PostureConfig) -> Tensor:
     """(B,) by how much hands of wrist rotation (B, 3, 3) leave the natural postures, sum of cosines; 0 within.
 
     Args:
+        frame: (3, 3) rows distal, palmar and radial of the hand at rest (`Anatomy.frame`).
         on_table: (B,) bool, the object stands on the table.
         forward: (B, 3) where the thumb's side should point; zero where that doesn't matter.
     """
-    forearm, palm, thumb = rotation[..., 2, 0], -rotation[..., 2, 1], rotation[..., 2, 2]
+    distal, palmar, radial = (rotation @ frame.mT).unbind(-1)
+    forearm, palm, thumb = -distal[:, 2], palmar[:, 2], radial[:, 2]
     lowest = torch.where(on_table, config.forearm_on_table, config.forearm_held)
     matters = forward.square().sum(-1) > 0
-    ahead = (rotation[..., 2] * forward).sum(-1)
+    ahead = (radial * forward).sum(-1)
     backward = torch.where(matters, config.forward - ahead, torch.zeros_like(ahead))
     return sum(x.relu() for x in (lowest - forearm, palm - config.palm, config.thumb - thumb, backward))

@@ -13,7 +13,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from grabnet.body.anatomy import Anatomy
 from grabnet.grasping.grasp_hand import GraspHand, GraspPose
+from grabnet.grasping.terms import beyond_limits
 
 
 @dataclass(frozen=True)
@@ -63,8 +65,11 @@ _TIPS = {
 
 @dataclass(frozen=True)
 class TemplateConfig:
-    """Lengths in metres, weights of energies that are about 1 when bad."""
+    """Lengths in metres, weights of energies that are about 1 when bad, angles in radians."""
 
+    mcp_extension: float = -0.15  # of knuckles, the thumb's joints: further back does not look natural in a grasp
+    thumb_mcp_extension: float = -0.1
+    thumb_ip_extension: float = -0.3
     openings: int = 25  # from narrowest to widest, evenly
     narrowest: float = 0.004
     widest: float = 0.10
@@ -98,16 +103,29 @@ def build_templates(hand: GraspHand, limits: Tensor, config: TemplateConfig | No
     return {kind: templates[kind] for kind in KINDS}
 
 
-def regularity(angles: Tensor, limits: Tensor, dip_per_pip: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """How far postures (B, 21) are from a hand at ease: DIP–PIP coupling, abduction, neighbours' difference, limits."""
+def natural_limits(anatomy: Anatomy, config: TemplateConfig) -> Tensor:
+    """(21, 2) radians: the anatomy's limits, narrowed to what looks natural in a grasp."""
+    limits = anatomy.angle_limits.clone()
+    lowest = {
+        "mcp_flexion": config.mcp_extension,
+        "thumb_mcp": config.thumb_mcp_extension,
+        "thumb_ip": config.thumb_ip_extension,
+    }
+    for i, name in enumerate(anatomy.angle_names):
+        for ending, value in lowest.items():
+            if name.endswith(ending):
+                limits[i, 0] = max(float(limits[i, 0]), value)
+    return limits
+
+
+def regularity(angles: Tensor, dip_per_pip: float) -> tuple[Tensor, Tensor, Tensor]:
+    """How far postures (B, 21) are from a hand at ease, rad²: DIP–PIP coupling, abduction, neighbours' difference."""
     fingers = angles[:, :16].unflatten(1, (4, 4))
     coupling = (fingers[..., 3] - dip_per_pip * fingers[..., 2]).square().sum(1)
     spread = fingers[..., 1].square().sum(1)
     in_order = fingers[:, [0, 1, 3, 2]]  # index, middle, ring, pinky
     step = (in_order[:, 1:] - in_order[:, :-1]).square()
-    neighbours = step[..., [0, 2]].sum((1, 2)) + 2 * step[..., 1].sum(1)
-    beyond = (limits[:, 0] - angles).relu() + (angles - limits[:, 1]).relu()
-    return coupling, spread, neighbours, beyond.square().sum(1)
+    return coupling, spread, step[..., [0, 2]].sum((1, 2)) + 2 * step[..., 1].sum(1)
 
 
 def _still(hand: GraspHand, angles: Tensor) -> GraspPose:
@@ -148,7 +166,8 @@ def _opposing(hand: GraspHand, limits: Tensor, kind: str, config: TemplateConfig
         width = gap.norm(dim=-1)
         axis = (gap / width.unsqueeze(1)).unsqueeze(1)
         facing = 0.6 * (1 - (normals[:, :1] * axis).sum((1, 2))) + 0.6 * (1 + (normals[:, 1:] * axis).sum(-1)).mean(1)
-        coupling, spread, neighbours, beyond = regularity(angles, limits, config.dip_per_pip)
+        coupling, spread, neighbours = regularity(angles, config.dip_per_pip)
+        beyond = beyond_limits(angles, limits)
         energy = 0.3 * ((width - aperture) * 100).square() + facing
         energy = energy + config.near_relaxed * (angles - relaxed).square().sum(1) + config.limits * beyond
         energy = energy + config.coupling * coupling + config.spread * spread
@@ -175,8 +194,9 @@ def _wrapping(hand: GraspHand, limits: Tensor, precision: Tensor, config: Templa
     start[:, [2, 6, 10, 14]] += 0.2
     start[:, 20] = 0.1
     angles = start.clone().requires_grad_()
+    distal, palmar, radial = hand.anatomy.frame
     palm = _palm(hand)
-    centre = torch.stack([0 * aperture + palm[0] - 0.02, palm[1] - 0.02 - aperture / 2, 0 * aperture + palm[2]], 1)
+    centre = palm + 0.02 * distal + (0.02 + aperture / 2).unsqueeze(1) * palmar
     centre.requires_grad_()
     tilt = torch.zeros(config.openings, 2, requires_grad=True)
     optimiser = torch.optim.Adam(
@@ -189,7 +209,7 @@ def _wrapping(hand: GraspHand, limits: Tensor, precision: Tensor, config: Templa
     pads = {name: pad for name, pad in hand.anatomy.pads.items() if name != "index_side"}
 
     def axis() -> Tensor:
-        return normalize(torch.cat([tilt, torch.ones_like(tilt[:, :1])], 1), dim=-1)
+        return normalize(radial + tilt[:, :1] * distal + tilt[:, 1:] * palmar, dim=-1)
 
     for _ in range(config.iterations):
         vertices = hand.posed(_still(hand, angles)).vertices
@@ -200,7 +220,8 @@ def _wrapping(hand: GraspHand, limits: Tensor, precision: Tensor, config: Templa
         for name, pad in pads.items():
             near = (distance[:, pad].square() * (-distance[:, pad].abs() / 3).softmax(1)).sum(1)
             energy = energy + (0.003 if name.endswith("1") else 0.02) * near.clamp(max=400)
-        coupling, spread, neighbours, beyond = regularity(angles, limits, config.dip_per_pip)
+        coupling, spread, neighbours = regularity(angles, config.dip_per_pip)
+        beyond = beyond_limits(angles, limits)
         energy = energy + config.near_wrap * (angles - start).square().sum(1) + config.limits * beyond
         energy = energy + config.coupling * coupling + 2 * spread + config.neighbours * neighbours
         energy = energy + tilt.square().sum(1) + (angles[:, 18] - 0.3).square()

@@ -3,7 +3,10 @@ from __future__ import annotations
 import torch
 
 from grabnet.geometry.rotations import about_z, random_rotations
-from grabnet.open.grasps.posture import PostureConfig, discomfort
+from grabnet.grasping.proposing.posture import PostureConfig, discomfort
+
+# Distal, palmar and radial as rows: a hand that at rest lies along x with its palm down, its thumb towards z.
+FRAME = torch.tensor([[-1.0, 0, 0], [0, -1, 0], [0, 0, 1]])
 
 
 def rotation(forearm, palm) -> torch.Tensor:
@@ -13,7 +16,7 @@ def rotation(forearm, palm) -> torch.Tensor:
 
 
 def uneasy(turn: torch.Tensor, on_table: bool = True, forward=(0.0, 0.0, 0.0)) -> float:
-    return float(discomfort(turn[None], torch.tensor([on_table]), torch.tensor([forward]), PostureConfig()))
+    return float(discomfort(turn[None], FRAME, torch.tensor([on_table]), torch.tensor([forward]), PostureConfig()))
 
 
 def test_hands_from_above_and_from_the_side_are_at_ease():
@@ -37,4 +40,6 @@ def test_heading_does_not_matter():
     generator = torch.Generator().manual_seed(0)
     turn = random_rotations(50, generator)
     args = (torch.arange(50) % 2 == 0, torch.zeros(50, 3), PostureConfig())
-    torch.testing.assert_close(discomfort(turn, *args), discomfort(about_z(torch.tensor(1.0)) @ turn, *args))
+    torch.testing.assert_close(
+        discomfort(turn, FRAME, *args), discomfort(about_z(torch.tensor(1.0)) @ turn, FRAME, *args)
+    )

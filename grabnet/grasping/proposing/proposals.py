@@ -10,9 +10,9 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from grabnet.grasping.grasp_hand import FOREARM_RADIUS, GraspHand, GraspPose
-from grabnet.open.grasps.posture import PostureConfig, discomfort
-from grabnet.open.grasps.scene import Part, SynthesisScene
-from grabnet.open.grasps.templates import KINDS, Template
+from grabnet.grasping.proposing.grasped_object import GraspedObject, Part
+from grabnet.grasping.proposing.posture import PostureConfig, discomfort
+from grabnet.grasping.proposing.templates import KINDS, Template
 
 KIND_NAMES = tuple(KINDS)
 _POWER = KIND_NAMES.index("power")
@@ -57,7 +57,7 @@ class Proposals(NamedTuple):
 
 
 def propose(
-    scene: SynthesisScene,
+    scene: GraspedObject,
     hand: GraspHand,
     templates: dict[str, Template],
     n: int,
@@ -136,7 +136,7 @@ def propose(
     candidates = Proposals(GraspPose(rotation, wrist, angles), kind, part, on_table, forward)
 
     score = _score(scene, hand, candidates) + 1e5 * misfit
-    score = score + config.uneasy * discomfort(rotation, on_table, forward, posture)
+    score = score + config.uneasy * discomfort(rotation, hand.anatomy.frame, on_table, forward, posture)
     best, winner = score.unflatten(0, (slots, each)).min(1)
     rows = torch.arange(slots) * each + winner
     kept = torch.where(best < config.worst)[0]
@@ -172,7 +172,7 @@ def _kinds(
     return torch.multinomial(weight, 1, generator=generator).squeeze(1)
 
 
-def _score(scene: SynthesisScene, hand: GraspHand, candidates: Proposals) -> Tensor:
+def _score(scene: GraspedObject, hand: GraspHand, candidates: Proposals) -> Tensor:
     """(N,) overlap with object and table in mm² and distance of the pads in mm, weighted as they matter."""
     pads = hand.pads[torch.arange(len(hand.pads)), hand.pad_mask.sum(1) // 2]
     some = torch.cat([hand.sample[pads], torch.arange(0, len(hand.rest), 6)])

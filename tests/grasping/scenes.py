@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from grabnet.open.grasps.scene import Part
+from grabnet.grasping.proposing.grasped_object import Part
 
 
 class ClosedForm:
