@@ -76,8 +76,8 @@ class GraspOptimiser:
         """Grasps (B) near the starts (B), in the object's frame, on its device.
 
         Args:
-            centre: (3,) or (B, 3) metres, the object's centre of mass, where gravity pulls; when omitted, the middle of the pads
-                that touch at the start.
+            centre: (3,) or (B, 3) metres, the object's centre of mass, where gravity pulls; when omitted, the middle of
+                the pads that are near at the start.
             floor: height (z) of the table in metres; when omitted, there is none.
         """
         if not (self.config.iterations and len(start.wrist)):

@@ -6,14 +6,18 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
 
 from grabnet.benchmarks.sample import PlainHand
+from grabnet.errors import UserError
 from grabnet.geometry.atlas import SDFAtlas
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.sdf_grid import AtlasConfig, SDFGrid
 from grabnet.grasping.grasp_hand import GraspHand, GraspPose
 from grabnet.grasping.optimiser import GraspOptimiser, HoldingEnergy, OptimiserConfig
 from grabnet.grasping.surface import AtlasSurface
+from grabnet.io.shipped import shipped
 
 from .conftest import poses
 from .surfaces import ball
@@ -171,3 +175,18 @@ def test_the_plain_way_gives_the_same_energies_and_gradients(hand, model):
         found.append((value.detach(), angles.grad))
     torch.testing.assert_close(found[0][0], found[1][0], rtol=1e-4, atol=1e-2)
     torch.testing.assert_close(found[0][1], found[1][1], rtol=1e-3, atol=0.5)
+
+
+def test_the_shipped_config_is_the_default():
+    config = instantiate(OmegaConf.load(shipped("configs") / "shared" / "optimiser" / "default.yaml"))
+    pairs = {name: tuple(getattr(config, name)) for name in ("softness", "firmness")}
+    assert replace(config, **pairs) == CONFIG
+
+
+@pytest.mark.parametrize(
+    "values",
+    [{"iterations": -1}, {"firmness": (0.0, 6.0)}, {"softness": (1.0,)}, {"contact": float("nan")}, {"memory": 1.0}],
+)
+def test_values_out_of_range_are_refused_in_a_sentence(values):
+    with pytest.raises(UserError, match=f"{next(iter(values))} is .*; it must be"):
+        OptimiserConfig(**values)
