@@ -90,7 +90,7 @@ def test_the_reference_has_the_energys_weights():
     part = REFERENCE.read_text().split("\n## 15. ")[1]
     written = {name: float(value) for name, value in re.findall(r"^\| `(\w+)` \| ([\d.]+) \|", part, re.MULTILINE)}
     config = EnergyConfig()
-    assert written == {name: getattr(config, name) for name in written} and len(written) == 14
+    assert written == {name: getattr(config, name) for name in written} and len(written) == 13
     lengths_and_shares = {
         "contact_target", "furthest", "skin_slack", "sphere_share", "forearm_gap", "table_gap", "power_opposition",
         "dip_per_pip",

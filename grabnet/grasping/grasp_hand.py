@@ -7,10 +7,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from grabnet.body.anatomy import Anatomy, vertex_normals
+from grabnet.body.anatomy import FINGERS, Anatomy, vertex_normals
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.body.skeleton import HAND_JOINTS
 from grabnet.body.skinning import homogeneous, skin
+from grabnet.errors import UserError
 from grabnet.grasping.posing import HandChain, PosePoints, skinning_basis
 from grabnet.grasping.spheres import SelfOverlap, clearance, fill
 
@@ -60,6 +61,9 @@ class GraspHand:
         hand, anatomy: the model and its labels.
         betas: (n,) shape.
 
+    Raises:
+        UserError: a hand without a thumb, or with nothing to oppose it.
+
     Attributes:
         rest (V, 3), joints (16, 3): the shape at rest. normals (V, 3): at rest, unit.
         radii (S,), sphere_bone (S,): the spheres that fill fingers and palm, and the bone each moves with.
@@ -89,8 +93,11 @@ class GraspHand:
         apart = torch.cdist(self.rest, centres) + (anatomy.bone.unsqueeze(1) != self.sphere_bone).to(self.rest)
         self.foot = apart.argmin(1)
 
-        self.pad_names = tuple(anatomy.pads)
-        pads = [pad[:: -(-len(pad) // PAD_VERTICES)] for pad in anatomy.pads.values()]
+        named = {name: pad for name, pad in anatomy.pads.items() if len(pad)}
+        if not ("thumb3" in named and any(f"{finger}3" in named for finger in FINGERS[1:])):
+            raise UserError("The hand model has no pads at the tips of its thumb and of a finger: grasps need both.")
+        self.pad_names = tuple(named)
+        pads = [pad[:: -(-len(pad) // PAD_VERTICES)] for pad in named.values()]
         longest = torch.arange(max(len(pad) for pad in pads), device=self.rest.device)
         members = torch.stack([pad[longest.clamp(max=len(pad) - 1)] for pad in pads])
         self.of_thumb = torch.tensor([name.startswith("thumb") for name in self.pad_names], device=self.rest.device)
@@ -100,10 +107,11 @@ class GraspHand:
         others = others[~torch.isin(others, members)]
         self.sample = torch.cat([members.flatten(), others])
         self.sampled_once = torch.cat([self.pad_mask.flatten(), torch.ones_like(others, dtype=torch.bool)])
-        rows = [homogeneous(torch.cat([self.rest[self.sample], self._inner])), self.normals[members.flatten()]]
-        rows[1] = torch.cat([rows[1], torch.zeros_like(rows[1][:, :1])], 1)
-        weights = torch.cat([self.weights[self.sample], self._inner_weights, self.weights[members.flatten()]])
-        self._basis = skinning_basis(torch.cat(rows), weights)
+        on_pads = members.flatten()
+        points = homogeneous(torch.cat([self.rest[self.sample], self._inner]))
+        directions = torch.nn.functional.pad(self.normals[on_pads], (0, 1))
+        weights = torch.cat([self.weights[self.sample], self._inner_weights, self.weights[on_pads]])
+        self._basis = skinning_basis(torch.cat([points, directions]), weights)
 
     def posed(self, pose: GraspPose, vertices: Tensor | None = None) -> Posed:
         """Pose the hand; `vertices` limits the skin to those."""

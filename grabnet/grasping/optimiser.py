@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from grabnet.cli.checks import at_least, positive
 from grabnet.grasping import terms
 from grabnet.grasping.descent import DescentConfig, descend
 from grabnet.grasping.forces import ForceConfig, HeldForces
@@ -21,16 +22,16 @@ class OptimiserConfig(DescentConfig, ObstacleConfig):
     """Descent, and the weights of the energy's terms; lengths in millimetres."""
 
     contact: float = 2.0  # per mm of a pad's distance
-    contact_target: float = -1.2  # pads sink in a little: skin yields
+    contact_target: float = -1.0  # pads sink in a little: skin yields
     furthest: float = 1000.0  # a pad further away than this no longer pulls
     phalanges: float = 1.0  # share of the pads of proximal and middle phalanges, fingertips having 1
     palm: float = 0.6  # share of the palm's pads and of the index finger's side
-    near: float = 12.0  # over which a pad's share fades with its distance at the start
-    skin_slack: float = 1.3
+    near: float = 30.0  # over which a pad's share fades with its distance at the start
+    skin_slack: float = 1.1
     self_overlap: float = 1.0  # per mm² of overlap between fingers
     alignment: float = 3.0  # pads face the surface they touch
     opposition: float = 3.0  # thumb and fingers press against each other
-    force: float = 5.0  # per squared share of the load that contacts leave
+    force: float = 10.0  # per squared share of the load that contacts leave
     knuckle_flexion: float = 1.2  # radians at most, of fingers: beyond that the skin folds into itself
     posture: float = 2.0  # per rad² of an angle from the start
     wrist: float = 0.5  # per square of the wrist's way from the start, in units of `wrist_scale`
@@ -38,6 +39,13 @@ class OptimiserConfig(DescentConfig, ObstacleConfig):
     turn: float = 5.5  # per rad² from the start (2 − 2 cosine)
     forces: ForceConfig = field(default_factory=ForceConfig)
     force_every: int = 4  # iterations between looks at the contact forces
+
+    def __post_init__(self):
+        super().__post_init__()
+        weights = ("contact", "skin", "spheres", "forearm", "table", "self_overlap", "alignment", "opposition", "force")
+        weights += ("phalanges", "palm", "posture", "wrist", "turn")
+        at_least(self, "optimiser.", force_every=1, **dict.fromkeys(weights, 0))
+        positive(self, "furthest", "near", "wrist_scale", "knuckle_flexion")
 
 
 class GraspOptimiser:
@@ -68,8 +76,8 @@ class GraspOptimiser:
         """Grasps (B) near the starts (B), in the object's frame, on its device.
 
         Args:
-            centre: (3,) metres, the object's centre of mass, where gravity pulls; when omitted, the middle of the pads
-                that touch at the start.
+            centre: (3,) or (B, 3) metres, the object's centre of mass, where gravity pulls; when omitted, the middle of
+                the pads that are near at the start.
             floor: height (z) of the table in metres; when omitted, there is none.
         """
         if not (self.config.iterations and len(start.wrist)):

@@ -26,16 +26,13 @@ class HandChain:
             moved[:, joint] += moved[:, parent]
         self.moved_by = moved.to(joints.device)  # (J, J): 1 where the row's joint moves the column's
         # An angle turns about its axis as the other angles of its joint leave it: the first turn of a joint moves with
-        # it, the last with its parent, the thumb's flexion with its abduction (see `Anatomy.hand_pose`).
+        # the joint, the last with its parent, the thumb's flexion in between (see `Anatomy.hand_pose`).
         names = anatomy.angle_names
-        carrier = [p if "abduction" in n else j for n, j in zip(names, self._of_angle(range(len(parents))), strict=True)
-                   for p in [parents[j]]]  # fmt: skip
         self.thumb_flexion, self.thumb_abduction = names.index("thumb_cmc_flexion"), names.index("thumb_cmc_abduction")
-        carrier[self.thumb_flexion] = parents[carrier[self.thumb_flexion]]
-        self.carrier = torch.tensor(carrier, device=joints.device)
-
-    def _of_angle(self, per_joint) -> list:
-        return [per_joint[j] for j in self.anatomy.angle_joints.tolist()]
+        with_parent = torch.tensor(["abduction" in name for name in names], device=joints.device)
+        with_parent[self.thumb_flexion] = True
+        parent = torch.tensor(parents, device=joints.device)[anatomy.angle_joints]
+        self._carrier = torch.where(with_parent, parent, anatomy.angle_joints)
 
     def transforms(self, rotation: Tensor, wrist: Tensor, angles: Tensor) -> tuple[Tensor, Tensor]:
         """(B, J, 3, 4) rest to posed, and joint positions (B, J, 3), of wrists (B, 3, 3), (B, 3), angles (B, 21)."""
@@ -52,15 +49,9 @@ class HandChain:
         turn = angles[:, self.thumb_abduction, None]
         along = (flexion @ about) * about
         turned = along + turn.cos() * (flexion - along) + turn.sin() * torch.linalg.cross(about, flexion)
-        local = torch.cat(
-            [
-                axes[: self.thumb_flexion].expand(len(angles), -1, 3),
-                turned.unsqueeze(1),
-                axes[self.thumb_flexion + 1 :].expand(len(angles), -1, 3),
-            ],
-            1,
-        )
-        return (world[:, self.carrier] @ local.unsqueeze(-1)).squeeze(-1)
+        local = axes.repeat(len(angles), 1, 1)
+        local[:, self.thumb_flexion] = turned
+        return (world[:, self._carrier] @ local.unsqueeze(-1)).squeeze(-1)
 
 
 class PosePoints(torch.autograd.Function):

@@ -10,7 +10,8 @@ from grabnet.body.skeleton import HAND_JOINTS
 from grabnet.geometry.kernels import spheres as kernels
 from grabnet.geometry.kernels.launch import launch
 
-THUMB_SHARE = float(__import__("os").environ.get("TS", ".7"))
+# Of their distance at rest, what spheres at the root of the thumb keep from those of the palm: flesh gives way there.
+THUMB_SHARE = 0.7
 
 
 def fill(rest: Tensor, joints: Tensor, anatomy: Anatomy) -> tuple[Tensor, Tensor, Tensor]:
@@ -57,6 +58,8 @@ def fill(rest: Tensor, joints: Tensor, anatomy: Anatomy) -> tuple[Tensor, Tensor
 def clearance(centres: Tensor, radii: Tensor, bone: Tensor) -> Tensor:
     """(S, S) metres that centres of spheres must keep apart: of different fingers, and of fingers and palm; else 0.
 
+    The roots of the fingers are part of the palm; the thumb's root may come nearer to it than at rest, not into it.
+
     Args:
         centres: (S, 3) metres, of the hand at rest, which counts as free of overlap.
         radii: (S,) metres.
@@ -68,7 +71,7 @@ def clearance(centres: Tensor, radii: Tensor, bone: Tensor) -> Tensor:
     joined = (near_palm.unsqueeze(1) & palm) | (palm.unsqueeze(1) & near_palm)
     of_thumb = (finger.unsqueeze(1) == 4) | (finger == 4)
     separate = (finger.unsqueeze(1) != finger) & (~joined | of_thumb)
-    share = torch.where(joined, THUMB_SHARE, 0.97)  # flesh at the root of the thumb is pressed together
+    share = torch.where(joined, THUMB_SHARE, 0.97)
     apart = torch.minimum(0.92 * (radii.unsqueeze(1) + radii), share * torch.cdist(centres, centres))
     return apart * separate
 

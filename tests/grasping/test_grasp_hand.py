@@ -1,8 +1,12 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
+import pytest
 import torch
 
 from grabnet.body.anatomy import FINGERS
+from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.openings import close
 from grabnet.geometry.queries import MeshQuery
@@ -44,6 +48,14 @@ def test_pads_name_vertices_of_the_anatomys_pads(anatomy, hand):
         chosen = hand.sample[members[mask]]
         assert torch.isin(chosen, anatomy.pads[name]).all()
         assert len(chosen.unique()) == len(chosen) > 0
+
+
+def test_pads_without_vertices_are_left_out_and_a_hand_without_a_thumb_is_refused(model, anatomy):
+    nothing = torch.zeros(0, dtype=torch.int64)
+    fewer = replace(anatomy, pads=anatomy.pads | {"index_side": nothing, "palm_mcp": nothing})
+    assert "index_side" not in GraspHand(model, fewer, torch.zeros(10)).pad_names
+    with pytest.raises(UserError, match="no pads at the tips"):
+        GraspHand(model, replace(anatomy, pads=anatomy.pads | {"thumb3": nothing}), torch.zeros(10))
 
 
 def test_parameters_and_back_is_the_same_pose(hand, left):
