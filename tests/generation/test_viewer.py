@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from grabnet.generation.captions import caption
 from grabnet.generation.viewer import write_viewer
 from grabnet.geometry.mesh import Mesh
 
@@ -62,6 +63,9 @@ def test_title_and_measurements_are_those_of_the_grasps(browser, grasps):
     record = grasps.report()[1]
     assert "grasp 2 of 5" in facts
     assert f"{record['max_penetration_mm']:.1f} mm" in facts
+    assert f"{record['through_mm']:.1f} mm" in facts
+    assert caption(record) in facts
+    assert re.search(rf"goes through the object\s+{'yes' if record['pierced'] else 'no'}", facts)
     for part, count in record["contact_vertices"].items():
         assert re.search(rf"{part}\s+{f'{count} in contact' if count else '–'}", facts)
 
