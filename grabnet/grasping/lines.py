@@ -67,12 +67,10 @@ class Lines:
         per_hand = ("points", "through", "clear", "chain_clear")
         return replace(self, **{name: getattr(self, name)[index] for name in per_hand})
 
-    def joined(self, index: int, first_point: int) -> np.ndarray:
-        """(L, 2) what clear lines of one hand join: its vertices, and from `first_point` on the points inside it."""
-        skin = self.clear[index].nonzero().squeeze(1)
-        return torch.cat(
-            [
-                torch.stack([skin, first_point + self.interior.foot[skin]], 1),
-                first_point + self.interior.chain[self.chain_clear[index]],
-            ]
-        ).numpy()
+    def joined(self, first_point: int) -> list[np.ndarray]:
+        """Of each hand (L, 2) what clear lines join: its vertices, and from `first_point` on the points inside it."""
+        vertices = np.arange(self.clear.shape[1])
+        to_skin = np.stack([vertices, first_point + self.interior.foot.numpy()], 1)
+        along = first_point + self.interior.chain.numpy()
+        clear = zip(self.clear.numpy(), self.chain_clear.numpy(), strict=True)
+        return [np.concatenate([to_skin[skin], along[bones]]) for skin, bones in clear]

@@ -131,11 +131,12 @@ def pieces(
     distances = torch.cat([distances, of_lids.to(distances)], 1).numpy()
     hand = MovingMesh(closed[0].numpy(), np.concatenate([faces.numpy(), lids.faces]))
     solid = MovingMesh(mesh.vertices, mesh.faces if mesh.volume >= 0 else mesh.faces[:, ::-1])
+    none = np.zeros((0, 2), np.int64)
+    joined = [none] * len(closed) if lines is None else lines.joined(closed.shape[1])
     counts = []
-    for i, posed in enumerate(closed.numpy()):
+    for posed, to_object, links in zip(closed.numpy(), distances, joined, strict=True):
         hand.move(posed)
-        joined = np.zeros((0, 2), np.int64) if lines is None else lines.joined(i, closed.shape[1])
-        counts.append(count_pieces(hand, solid, distances[i], joined))
+        counts.append(count_pieces(hand, solid, to_object, links))
     return torch.tensor(counts)
 
 

@@ -229,14 +229,14 @@ class Calls(TorchDispatchMode):
 
 
 def test_many_grasps_take_no_more_calls_than_few(grabber, block, cache_dir):
-    """No loop over the grasps of a batch, but for those whose pieces are counted as the object cuts them."""
+    """No loop over the grasps of a batch, but over hands that the object may have cut apart."""
     grabber(block, 1, cache_dir=cache_dir)  # the object's atlas is made once
     counts = []
     for n in (2, grabber.batch_size):
         with Calls() as calls:
             grabber(block, n, cache_dir=cache_dir)
         counts.append(calls.count)
-    assert 100 < counts[1] < 1.2 * counts[0]
+    assert 100 < counts[1] < 1.15 * counts[0]
 
 
 def test_the_shipped_networks_grasp_a_file(tmp_path, cache_dir):

@@ -1,4 +1,5 @@
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from grabnet.body.hand import HandParameters
 from grabnet.contact.contacts import Contacts
 from grabnet.generation.grasps import Grasps
 from grabnet.geometry.mesh import Mesh
+from grabnet.grasping.measures import GraspMeasures
 
 
 def made_of(distances: torch.Tensor, finger: torch.Tensor, to_object: np.ndarray | None = None) -> Grasps:
@@ -28,6 +30,14 @@ def made_of(distances: torch.Tensor, finger: torch.Tensor, to_object: np.ndarray
         vertices=torch.zeros(n, v, 3),
         faces=torch.tensor([[0, 1, 2]]),
         contacts=Contacts(distances=distances, finger=finger),
+        measures=GraspMeasures(
+            through_mm=torch.linspace(0, 12, n),
+            pierced=torch.arange(n) % 2 == 1,
+            contact_area_cm2=torch.full((n,), 20.0),
+            opposition=torch.ones(n),
+            crossing_mm=torch.zeros(n),
+            joint_excess_deg=torch.arange(n).float(),
+        ),
     )
 
 
@@ -84,4 +94,17 @@ def test_a_grasp_wants_the_thumb_and_another_finger():
     )
     grasps = made_of(distances, torch.tensor([0, 1, 4, -1]))
     assert grasps.contacts.pinched.tolist() == [True, False, False, True]
-    assert "touch in 50%, deepest penetration 5.0 mm" in grasps.summary()
+    summary = grasps.summary()
+    assert "touch in 50%, 50% go through the object" in summary
+    assert "5.0 mm deep at the deepest vertex and 6.0 mm through walls" in summary
+
+
+def test_each_record_has_what_the_definitions_define(tmp_path):
+    grasps = made_of(torch.randn(3, 4), torch.tensor([0, 1, 2, -1]))
+    grasps.save(tmp_path / "out", ())
+    text = json.loads((tmp_path / "out" / "grasps.json").read_text(encoding="utf-8"))
+    assert text["grasps"] == grasps.report()
+    for record in text["grasps"]:
+        assert set(record) - {"index", "seed"} == set(text["definitions"]) - {"distance"}
+    assert [record["through_mm"] for record in text["grasps"]] == [0, 6, 12]
+    assert [record["pierced"] for record in text["grasps"]] == [False, True, False]

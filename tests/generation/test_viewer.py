@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from grabnet.generation.captions import caption
 from grabnet.generation.viewer import write_viewer
 from grabnet.geometry.mesh import Mesh
 
@@ -64,6 +65,9 @@ def test_title_and_measurements_are_those_of_the_grasps(browser, grasps):
     buttons = browser.evaluate("[...document.querySelectorAll('#list button')].map(b => b.textContent)")
     assert buttons == [f"{r['index']}: {r['max_penetration_mm']:.1f} mm" for r in grasps.report()]
     assert f"{record['max_penetration_mm']:.1f} mm" in facts
+    assert f"{record['through_mm']:.1f} mm" in facts
+    assert caption(record) in facts
+    assert re.search(rf"goes through the object\s+{'yes' if record['pierced'] else 'no'}", facts)
     for part, count in record["contact_vertices"].items():
         assert re.search(rf"{part}\s+{f'{count} in contact' if count else '–'}", facts)
 

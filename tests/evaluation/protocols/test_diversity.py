@@ -1,9 +1,10 @@
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from grabnet.evaluation.protocols.diversity import Diversity, cluster, novelty, reached
+from grabnet.evaluation.protocols.diversity import Diversity, WhitenedDiversity, cluster, novelty, reached
 
 
 def bunches(sizes: list[int], spread: float, seed: int = 0) -> np.ndarray:
@@ -32,6 +33,30 @@ def test_clusters_of_known_entropy():
     # Of points at one distance from where they were thrown around, the mean is near that, and so is theirs to it.
     assert found["cluster_size"].value == pytest.approx(0.1, rel=0.1)
     assert sorted(np.bincount(cluster(points.reshape(-1, 63), seed=0).label)) == sizes
+
+
+def test_whitened_clusters_do_not_depend_on_units_or_on_coordinates_that_never_change():
+    points = bunches([10] * 10 + [30] * 10, 0.001)
+    points[:, 0] = 0.5  # as the wrist is
+    labels = SimpleNamespace(keypoints=lambda hands: hands)
+
+    def of(keypoints: np.ndarray) -> dict:
+        return WhitenedDiversity(labels, draws=50, seed=0)(SimpleNamespace(hands={"a": keypoints}))
+
+    stretch = np.linspace(0.5, 20, 63).reshape(21, 3)
+    one, other = of(points), of(points * stretch)
+    for name in ("entropy", "cluster_size"):
+        assert one[name].value == pytest.approx(other[name].value)
+    flat = points.reshape(len(points), -1)[:, 3:]
+    assert one["entropy"].value == diversity(points)["entropy"].value  # bunches this far apart stay the same
+    scattered = np.linalg.norm((flat - np.repeat(_means(flat), [10] * 10 + [30] * 10, axis=0)) / flat.std(0), axis=1)
+    assert one["cluster_size"].value == pytest.approx(scattered.mean())
+    assert of(points[:19]) == {}
+
+
+def _means(flat: np.ndarray) -> np.ndarray:
+    edges = np.cumsum([0] + [10] * 10 + [30] * 10)
+    return np.stack([flat[a:b].mean(0) for a, b in pairwise(edges)])
 
 
 def test_even_clusters_have_the_most_entropy_and_few_hands_none():
