@@ -26,6 +26,7 @@ from grabnet.geometry.rotations import about_z, quaternion_to_matrix
 from grabnet.geometry.sdf_grid import AtlasConfig, SDFGrid
 from grabnet.models.generator import GraspGenerator
 from grabnet.models.trained import find_model, load_model
+from grabnet.precision import single_by_default
 
 SIDES = ("right", "left")
 ORIENTATIONS = ("upright", "fixed", "random")
@@ -49,6 +50,7 @@ class Grabber(nn.Module):
         weights: files of the generator's networks, by kind, where it was loaded from files.
     """
 
+    @single_by_default
     def __init__(self, generator: GraspGenerator, hand: HandModel, batch_size: Batch = 256, n_turns: Batch = 128):
         super().__init__()
         self.generator, self.hand = generator.eval(), hand
@@ -59,6 +61,7 @@ class Grabber(nn.Module):
         self.register_buffer("finger", Anatomy.of(hand).finger, persistent=False)
 
     @classmethod
+    @single_by_default
     def from_pretrained(
         cls,
         name: str | Path | Sequence[str | Path] = "open",
@@ -88,6 +91,7 @@ class Grabber(nn.Module):
         return grabber
 
     @torch.no_grad()
+    @single_by_default
     def forward(
         self,
         mesh: Mesh | str | Path,
