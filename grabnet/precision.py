@@ -27,3 +27,18 @@ def full_precision(function: Callable[..., Any]) -> Callable[..., Any]:
             return function(*arguments, **options)
 
     return exact
+
+
+def single_by_default(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Run a function with float32 as torch's default, which a program may have changed: the networks are trained so."""
+
+    @functools.wraps(function)
+    def single(*arguments: Any, **options: Any) -> Any:
+        before = torch.get_default_dtype()
+        torch.set_default_dtype(torch.float32)
+        try:
+            return function(*arguments, **options)
+        finally:
+            torch.set_default_dtype(before)
+
+    return single

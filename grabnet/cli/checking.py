@@ -8,13 +8,14 @@ import math
 import pydoc
 import types
 import typing
+from dataclasses import is_dataclass
 from typing import Any
 
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from grabnet.cli.checks import mismatch
+from grabnet.cli.checks import annotations, mismatch
 from grabnet.errors import UserError
 
 _RESERVED = {"_target_", "_partial_", "_recursive_", "_convert_"}
@@ -81,8 +82,10 @@ def _check_target(node: DictConfig, path: str) -> None:
     if unknown := [k for k in given if k not in parameters and not takes_any]:
         raise UserError(f"{path or 'The config'} has no value {unknown[0]}; it takes {', '.join(parameters)}.")
     try:
-        marked = typing.get_type_hints(target.__init__ if inspect.isclass(target) else target, include_extras=True)
-        hints = typing.get_type_hints(target.__init__ if inspect.isclass(target) else target)
+        marked = annotations(target)
+        hints = typing.get_type_hints(
+            target if is_dataclass(target) or not inspect.isclass(target) else target.__init__
+        )
     except (NameError, TypeError):  # a library whose annotations only a type checker can resolve
         return
     for key in given:

@@ -13,7 +13,7 @@ import os
 import types
 import typing
 from collections.abc import Callable, Collection, Sequence, Sized
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from typing import Annotated, Any
 
 from grabnet.errors import UserError
@@ -83,6 +83,17 @@ def mismatch(value: Any, hint: Any) -> tuple[Any, str] | None:
     return None
 
 
+def annotations(of: Callable[..., Any]) -> dict[str, Any]:
+    """Annotations with their marks of a function's arguments, or of those of a class's constructor.
+
+    Raises:
+        NameError, TypeError: annotations that only a type checker can resolve.
+    """
+    # Of a dataclass those of its fields, each as the module means it where it is written.
+    holder = of.__init__ if isinstance(of, type) and not is_dataclass(of) else of
+    return typing.get_type_hints(holder, include_extras=True)
+
+
 def in_range(values: object, where: str = "", /, of: Callable[..., Any] | None = None) -> None:
     """Refuse the first value that is not what its annotation says.
 
@@ -94,7 +105,7 @@ def in_range(values: object, where: str = "", /, of: Callable[..., Any] | None =
     Raises:
         UserError: "n is 0; it must be at least 1."
     """
-    for name, hint in typing.get_type_hints(of or type(values).__init__, include_extras=True).items():
+    for name, hint in annotations(of or type(values)).items():
         if found := mismatch(getattr(values, name, None), hint):
             raise UserError(f"{where}{name} is {found[0]!r}; it {found[1]}.")
 

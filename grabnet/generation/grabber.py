@@ -37,6 +37,7 @@ from grabnet.grasping.measures import measure_grasps
 from grabnet.grasping.optimiser import GraspOptimiser, OptimiserConfig
 from grabnet.models.generator import GraspGenerator
 from grabnet.models.trained import find_model, load_model
+from grabnet.precision import single_by_default
 
 SIDES = ("right", "left")
 ORIENTATIONS = ("upright", "fixed", "random")
@@ -65,6 +66,7 @@ class Grabber(nn.Module):
         weights: files of the generator's networks, by kind, where it was loaded from files.
     """
 
+    @single_by_default
     def __init__(
         self,
         generator: GraspGenerator,
@@ -89,6 +91,7 @@ class Grabber(nn.Module):
         self.register_buffer("finger", Anatomy.of(hand).finger, persistent=False)
 
     @classmethod
+    @single_by_default
     def from_pretrained(
         cls,
         name: str | Path | Sequence[str | Path] = "open",
@@ -129,6 +132,7 @@ class Grabber(nn.Module):
         return Grabber(generator or self.generator, self.hand, **values).to(self.finger.device)
 
     @torch.no_grad()
+    @single_by_default
     def forward(
         self,
         mesh: Mesh | str | Path,

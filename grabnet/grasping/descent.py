@@ -5,40 +5,38 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from torch import Tensor
 
-from grabnet.cli.checks import at_least, positive
+from grabnet.cli.checks import Amount, Positive, Range, in_range
 from grabnet.errors import UserError
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.grasping.grasp_hand import GraspPose
+
+Fading = Annotated[float, Range(0, 0.9999)]  # share of what was that is kept from step to step
 
 
 @dataclass(frozen=True)
 class DescentConfig:
     """Adam's settings and what is ramped during a run (ref. 15)."""
 
-    iterations: int = 60
-    wrist_rate: float = 0.0025  # metres
-    rotation_rate: float = 0.03  # radians
-    angle_rate: float = 0.03  # radians
-    final_rate: float = 0.03  # of the rates, reached by a cosine
-    momentum: float = 0.9  # Adam's β₁
-    memory: float = 0.95  # Adam's β₂: short, so that a start deep inside does not slow what follows
-    softness: tuple[float, float] = (6.0, 1.5)  # mm, over which a pad's contact is spread, at start and end
-    firmness: tuple[float, float] = (0.2, 6.0)  # factor on all overlap with the object, at start and end
+    iterations: Amount = 60
+    wrist_rate: Positive = 0.0025  # metres
+    rotation_rate: Positive = 0.03  # radians
+    angle_rate: Positive = 0.03  # radians
+    final_rate: Positive = 0.03  # of the rates, reached by a cosine
+    momentum: Fading = 0.9  # Adam's β₁
+    memory: Fading = 0.95  # Adam's β₂: short, so that a start deep inside does not slow what follows
+    softness: tuple[Positive, Positive] = (6.0, 1.5)  # mm, over which a pad's contact is spread, at start and end
+    firmness: tuple[Positive, Positive] = (0.2, 6.0)  # factor on all overlap with the object, at start and end
 
     def __post_init__(self):
-        at_least(self, "optimiser.", iterations=0)
-        positive(self, "wrist_rate", "rotation_rate", "angle_rate", "final_rate")
-        for name in ("momentum", "memory"):
-            if not 0 <= getattr(self, name) < 1:
-                raise UserError(f"optimiser.{name} is {getattr(self, name)}; it must be at least 0 and below 1.")
+        in_range(self, "optimiser.")
         for name in ("softness", "firmness"):
-            ends = tuple(getattr(self, name))
-            if len(ends) != 2 or not all(x > 0 for x in ends):
-                raise UserError(f"optimiser.{name} is {list(ends)}; it must be two numbers above 0, at start and end.")
+            if len(ends := tuple(getattr(self, name))) != 2:
+                raise UserError(f"optimiser.{name} is {list(ends)}; it must be two numbers, at start and end.")
 
 
 # (pose, softness, firmness, iteration) → (B,) energies.

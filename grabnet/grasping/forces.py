@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from grabnet.cli.checks import at_least, positive
+from grabnet.cli.checks import Count, Positive, Weight, in_range
 from grabnet.grasping.seen import Pads
 
 
@@ -15,15 +15,14 @@ from grabnet.grasping.seen import Pads
 class ForceConfig:
     """How contacts bear a load of weight 1."""
 
-    friction: float = 0.5  # dry skin on common materials is .5–1
-    reach: float = 6.0  # mm over which a pad's contact fades with its distance
-    arm: float = 0.05  # metres: a torque counts as much as a force at this distance
-    effort: float = 0.005  # squared contact forces against squared load left over
-    iterations: int = 8  # of the forces, at each look
+    friction: Weight = 0.5  # dry skin on common materials is .5–1
+    reach: Positive = 6.0  # mm over which a pad's contact fades with its distance
+    arm: Positive = 0.05  # metres: a torque counts as much as a force at this distance
+    effort: Positive = 0.005  # squared contact forces against squared load left over
+    iterations: Count = 8  # of the forces, at each look
 
     def __post_init__(self):
-        at_least(self, "optimiser.forces.", friction=0, iterations=1)
-        positive(self, "reach", "arm", "effort")
+        in_range(self, "optimiser.forces.")
 
 
 def wrenches(pads: Pads, centre: Tensor, config: ForceConfig) -> Tensor:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from grabnet.cli.checks import Weight
 from grabnet.grasping.grasp_hand import FOREARM_RADIUS, GraspHand
 from grabnet.grasping.seen import Seen
 from grabnet.grasping.terms import below_table, overlap
@@ -16,14 +17,14 @@ from grabnet.grasping.terms import below_table, overlap
 class ObstacleConfig:
     """Weights of overlap per mm² (ref. 15), and lengths in millimetres."""
 
-    skin: float = 0.3  # of skin inside the object
-    skin_slack: float = 1.0
-    spheres: float = 1.0  # of spheres in the fingers: this keeps them out of thin walls
-    sphere_share: float = 0.9  # of a sphere's radius
-    forearm: float = 0.02
-    forearm_gap: float = 5.0
-    table: float = 0.4  # of skin or forearm below the table
-    table_gap: float = 1.0
+    skin: Weight = 0.3  # of skin inside the object
+    skin_slack: Weight = 1.0
+    spheres: Weight = 1.0  # of spheres in the fingers: this keeps them out of thin walls
+    sphere_share: Weight = 0.9  # of a sphere's radius
+    forearm: Weight = 0.02
+    forearm_gap: Weight = 5.0
+    table: Weight = 0.4  # of skin or forearm below the table
+    table_gap: Weight = 1.0
 
 
 class Obstacles:

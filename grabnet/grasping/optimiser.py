@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import torch
 from torch import Tensor
 
-from grabnet.cli.checks import at_least, positive
+from grabnet.cli.checks import Count, Positive, Range, Weight
 from grabnet.grasping import terms
 from grabnet.grasping.descent import DescentConfig, descend
 from grabnet.grasping.forces import ForceConfig, HeldForces
@@ -21,31 +22,24 @@ from grabnet.grasping.surface import Surface
 class OptimiserConfig(DescentConfig, ObstacleConfig):
     """Descent, and the weights of the energy's terms; lengths in millimetres."""
 
-    contact: float = 2.0  # per mm of a pad's distance
-    contact_target: float = -1.0  # pads sink in a little: skin yields
-    furthest: float = 1000.0  # a pad further away than this no longer pulls
-    phalanges: float = 1.0  # share of the pads of proximal and middle phalanges, fingertips having 1
-    palm: float = 0.6  # share of the palm's pads and of the index finger's side
-    near: float = 30.0  # over which a pad's share fades with its distance at the start
-    skin_slack: float = 1.1
-    self_overlap: float = 1.0  # per mm² of overlap between fingers
-    alignment: float = 3.0  # pads face the surface they touch
-    opposition: float = 3.0  # thumb and fingers press against each other
-    force: float = 10.0  # per squared share of the load that contacts leave
-    knuckle_flexion: float = 1.2  # radians at most, of fingers: beyond that the skin folds into itself
-    posture: float = 2.0  # per rad² of an angle from the start
-    wrist: float = 0.5  # per square of the wrist's way from the start, in units of `wrist_scale`
-    wrist_scale: float = 20.0
-    turn: float = 5.5  # per rad² from the start (2 − 2 cosine)
+    contact: Weight = 2.0  # per mm of a pad's distance
+    contact_target: Annotated[float, Range()] = -1.0  # pads sink in a little: skin yields
+    furthest: Positive = 1000.0  # a pad further away than this no longer pulls
+    phalanges: Weight = 1.0  # share of the pads of proximal and middle phalanges, fingertips having 1
+    palm: Weight = 0.6  # share of the palm's pads and of the index finger's side
+    near: Positive = 30.0  # over which a pad's share fades with its distance at the start
+    skin_slack: Weight = 1.1
+    self_overlap: Weight = 1.0  # per mm² of overlap between fingers
+    alignment: Weight = 3.0  # pads face the surface they touch
+    opposition: Weight = 3.0  # thumb and fingers press against each other
+    force: Weight = 10.0  # per squared share of the load that contacts leave
+    knuckle_flexion: Positive = 1.2  # radians at most, of fingers: beyond that the skin folds into itself
+    posture: Weight = 2.0  # per rad² of an angle from the start
+    wrist: Weight = 0.5  # per square of the wrist's way from the start, in units of `wrist_scale`
+    wrist_scale: Positive = 20.0
+    turn: Weight = 5.5  # per rad² from the start (2 − 2 cosine)
     forces: ForceConfig = field(default_factory=ForceConfig)
-    force_every: int = 4  # iterations between looks at the contact forces
-
-    def __post_init__(self):
-        super().__post_init__()
-        weights = ("contact", "skin", "spheres", "forearm", "table", "self_overlap", "alignment", "opposition", "force")
-        weights += ("phalanges", "palm", "posture", "wrist", "turn")
-        at_least(self, "optimiser.", force_every=1, **dict.fromkeys(weights, 0))
-        positive(self, "furthest", "near", "wrist_scale", "knuckle_flexion")
+    force_every: Count = 4  # iterations between looks at the contact forces
 
 
 class GraspOptimiser:

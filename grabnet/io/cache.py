@@ -7,6 +7,7 @@ hash, so that neither changed bytes nor the file of something else are believed.
 from __future__ import annotations
 
 import os
+import tempfile
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -29,7 +30,12 @@ def default_cache() -> Path:
     """Folder for what can be computed again: `$GRABNET_CACHE`, or `grabnet` in the user's cache folder."""
     if chosen := os.environ.get("GRABNET_CACHE"):
         return Path(chosen)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "grabnet"
+    if folder := os.environ.get("XDG_CACHE_HOME"):
+        return Path(folder) / "grabnet"
+    try:
+        return Path.home() / ".cache" / "grabnet"
+    except RuntimeError:  # a user without a home, as in containers
+        return Path(tempfile.gettempdir()) / "grabnet"
 
 
 def load_or_build(

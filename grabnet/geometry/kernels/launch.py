@@ -5,10 +5,14 @@ warp takes half a second to start and compiles a module of kernels at first use 
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
+import tempfile
+import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import pairwise
 from typing import Any
 
@@ -35,9 +39,29 @@ def _silent_stderr() -> Iterator[None]:
         os.close(nowhere)
 
 
-wp.config.log_level = wp.LOG_WARNING
-with _silent_stderr():  # on a machine without an NVIDIA driver warp says so at every start
-    wp.init()
+def _start_warp() -> None:
+    """Start warp, with its kernels in a temporary folder where the user's cache cannot be written to."""
+    wp.config.log_level = wp.LOG_WARNING
+    usable = False
+    if "WARP_CACHE_PATH" in os.environ or os.path.expanduser("~") != "~":  # noqa: PTH111, "~": there is no home
+        with suppress(OSError), _silent_stderr():  # on a machine without an NVIDIA driver warp says so at every start
+            wp.init()
+            usable = os.access(wp.config.kernel_cache_dir, os.W_OK)
+    if usable:
+        return
+    folder = tempfile.mkdtemp(prefix="grabnet-kernels-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    warnings.warn(
+        "The user's cache folder cannot be written to: compiled kernels are kept in a temporary one. Name one that can "
+        "in the environment, as WARP_CACHE_PATH and GRABNET_CACHE, to save half a minute at each start.",
+        stacklevel=2,
+    )
+    os.environ["WARP_CACHE_PATH"] = wp.config.kernel_cache_dir = folder  # of processes that this one starts, too
+    with _silent_stderr():
+        wp.init()
+
+
+_start_warp()
 
 
 def launch(kernel: wp.Kernel, items: Sequence[Tensor], constants: Sequence[Any], width: int | None = None) -> None:
