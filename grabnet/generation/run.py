@@ -14,6 +14,7 @@ from grabnet.generation.contact_maps import contact_maps
 from grabnet.generation.export import result_folders, write_grasps
 from grabnet.generation.grabber import Grabber
 from grabnet.io.files import existing, sha256
+from grabnet.io.names import originals
 from grabnet.io.provenance import provenance
 from grabnet.visual.pictures import can_render
 
@@ -95,7 +96,8 @@ def _mesh_files(named: list[str]) -> tuple[list[Path], list[str]]:
             path = existing(Path(name).expanduser(), "Mesh")
             inside = [path]
             if path.is_dir():
-                inside = sorted(p for p in path.iterdir() if p.suffix.lower() in MESH_SUFFIXES and p.is_file())
+                found = originals(path.iterdir(), path)
+                inside = [p for p in found if p.suffix.lower() in MESH_SUFFIXES and p.is_file()]
                 if not inside:
                     raise UserError(f"The folder {path} holds no mesh ({', '.join(MESH_SUFFIXES)}).")
             files |= {p.resolve(): p for p in inside}
