@@ -22,6 +22,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from grabnet.body.hand import HandParameters
+from grabnet.data.names import check_sequence_name
 from grabnet.errors import UserError
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.io.files import existing, write_bytes, write_json
@@ -145,6 +146,8 @@ class FramesStore:
             raise UserError(f"The frames store {root} is empty: delete it and make it again.")
         for name in sequences:
             check_sequence_name(name, f"{path}: ")
+        if len(set(sequences)) < len(sequences):
+            raise UserError(f"{path} is damaged (it names a sequence twice): {_REMEDY}.")
         stored = read_tensors(root / "subjects.safetensors", "File", _REMEDY)
         check_tensors(stored, {"v_template": (len(subjects), "V", 3)}, _REMEDY)
         frames = read_frames(root, subjects, objects, sequences)
@@ -178,13 +181,6 @@ def read_frames(root: str | Path, subjects: list[str], objects: list[str], seque
         sequence=per_frame(list(range(len(shards)))),
         noisy=torch.cat([_true_hand(values) + values["noise"].float() for _, values in shards]) if noisy else None,
     )
-
-
-def check_sequence_name(name: str, where: str = "") -> None:
-    """Raise a `UserError` for a name that is no path of two plain parts."""
-    parts = name.split("/")
-    if len(parts) != 2 or any(not p.strip() or p.startswith(".") or set(p) & set("\\:\0") or len(p) > 200 for p in parts):
-        raise UserError(f"{where}'{name}' cannot name a sequence: it must be like s1/mug_lift_1.")
 
 
 def shard_path(root: str | Path, sequence: str) -> Path:

@@ -65,8 +65,7 @@ class ObjectSet(nn.Module):
         self.distances_to_points = known.distance_to == "samples"
         config = AtlasConfig(centre=known.centre)
         grids = [
-            SDFGrid.load_or_build(mesh, cache_dir, config)
-            for mesh in track(meshes, "Signed distances of the objects")
+            SDFGrid.load_or_build(mesh, cache_dir, config) for mesh in track(meshes, "Signed distances of the objects")
         ]
         self.atlas = SDFAtlas(grids)
 

@@ -18,7 +18,8 @@ from torch import Tensor
 from grabnet.body.hand import HandParameters
 from grabnet.body.skeleton import JOINTS, N_PARTS
 from grabnet.body.whole import BodyParameters
-from grabnet.errors import UserError, printable
+from grabnet.data.names import is_plain, read_text
+from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh, load_mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.io.files import replacing
@@ -179,9 +180,9 @@ def read_sequence(path: str | Path, objects: Iterable[str] | None = None) -> Seq
     path = Path(path)
     stored = read_npz(path)
     _require(path, "the file", stored, (*_TRACKS, *_TEXTS, *_NUMBERS, "contact"))
-    texts = {name: _text(path, name, stored[name], _LONGEST_TEXT) for name in _TEXTS}
+    texts = {name: read_text(path, name, stored[name], _LONGEST_TEXT) for name in _TEXTS}
     for name in ("sbj_id", "obj_name"):
-        if not texts[name].strip() or set(texts[name]) & set("/\\:") or texts[name].startswith("."):
+        if not is_plain(texts[name]):
             raise UserError(f"{path}: {name} is '{texts[name]}', which is no plain name.")
     numbers = {name: _number(path, name, stored[name]) for name in _NUMBERS}
     n_frames, n_comps = int(numbers["n_frames"]), int(numbers["n_comps"])
@@ -235,7 +236,7 @@ def _read_track(path: Path, name: str, content: Any, n_frames: int, n_comps: int
         key: _frames(path, f"{name} {key}", content["params"][key], n_frames, n_comps if width == "C" else width)
         for key, width in stored.widths.items()
     }
-    relative = _text(path, f"{name} {stored.path}", content[stored.path], _LONGEST_PATH)
+    relative = read_text(path, f"{name} {stored.path}", content[stored.path], _LONGEST_PATH)
     return stored.kind(*values.values(), _inside(relative, f"{path}: {name} {stored.path}"))
 
 
@@ -261,17 +262,6 @@ def _require(path: Path, where: str, stored: Any, keys: Iterable[str]) -> None:
     there = stored if isinstance(stored, dict) else {}
     if missing := [key for key in keys if key not in there]:
         raise UserError(f"{path} lacks {', '.join(missing)} in {where}: it is no sequence in GRAB's format.")
-
-
-def _text(path: Path, name: str, value: Any, longest: int) -> str:
-    array = np.asarray(value)
-    if array.dtype.kind not in "US" or array.size != 1:
-        raise UserError(f"{path}: {name} is {array.dtype} of shape {array.shape}, expected a text.")
-    text = array.item()
-    text = text.decode("latin1") if isinstance(text, bytes) else text
-    if len(text) > longest or printable(text) != text:
-        raise UserError(f"{path}: {name} is {text[:80]!r}; it must be of at most {longest} printable characters.")
-    return text
 
 
 def _number(path: Path, name: str, value: Any) -> float:

@@ -71,9 +71,7 @@ def members_of(archive: zipfile.ZipFile, path: str | Path, max_members: int, max
         UserError: more or larger files; encrypted ones, two of one name, one without a name, or a compression other
             than zip's usual one.
     """
-    members = [
-        member for member in archive.infolist() if member.filename[-1:] != "/" and not is_hidden(member.filename)
-    ]
+    members = [m for m in archive.infolist() if m.filename[-1:] != "/" and not is_hidden(m.filename)]
     if len(members) > max_members:
         raise UserError(f"{path} holds {len(members):,} files, more than the {max_members:,} that are read.")
     # Sizes as declared: reading a member ends there, whatever is packed in it.

@@ -20,7 +20,6 @@ from grabnet.body.hand import HandModel, HandParameters
 from grabnet.cli.progress import track
 from grabnet.data.frames import (
     FORMAT,
-    check_sequence_name,
     finish_store,
     read_header,
     shard_names,
@@ -28,6 +27,7 @@ from grabnet.data.frames import (
     start_store,
     write_shard,
 )
+from grabnet.data.names import check_sequence_name
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
