@@ -70,11 +70,8 @@ class Volco(PerGrasp):
     def __call__(self, scene: GraspScene) -> dict[str, np.ndarray]:
         nearest = scene.distances.min(1)
         area = scene.target.kept("contact area", lambda: ContactArea(scene.target.mesh))
-        skin = MovingMesh(scene.hands.vertices[0], scene.hands.faces)
-        areas = []
-        for vertices in scene.hands.vertices:
-            skin.move(vertices)
-            areas.append(1e4 * area(skin))
+        # Each its own tree: which of two equally near faces is found must not depend on hands measured before.
+        areas = [1e4 * area(MovingMesh(vertices, scene.hands.faces)) for vertices in scene.hands.vertices]
         return {
             "depth": 100 * np.maximum(-nearest, 0),
             "volume": 1e6 * scene.shared_volume(_SPACING),
