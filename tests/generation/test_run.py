@@ -146,16 +146,16 @@ def test_an_unexpected_error_in_one_mesh_does_not_end_the_others(call, folder, t
 
     monkeypatch.setattr("grabnet.generation.run.write_grasps", broken)
     assert call(mesh=[str(folder / "ball.obj"), str(folder / "d.stl")]) == 1
-    (told,) = capsys.readouterr().err.splitlines()
-    assert "ball.obj: Unexpected ValueError: of no use" in told
-    assert "fault of grabnet; report it" in told
+    (said,) = capsys.readouterr().err.splitlines()
+    assert "ball.obj: Unexpected ValueError: of no use" in said
+    assert "This is a fault of grabnet's" in said
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["d"]
 
 
 def test_names_that_no_disk_takes_do_not_end_the_others(call, folder, tmp_path, capsys):
     assert call(mesh=[str(folder / ("x" * 300)), str(folder / "d.stl")]) == 1
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and "cannot be read" in told
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "cannot be read" in said
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["d"]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import manifold3d
 import numpy as np
 import pytest
 import torch
@@ -39,7 +40,6 @@ def of(mesh: Mesh, vertices: torch.Tensor, faces: torch.Tensor, hand) -> tuple[t
 
 @pytest.mark.parametrize("name", SOLIDS)
 def test_as_many_pieces_as_a_mesh_boolean_leaves(model, hand, name):
-    manifold3d = pytest.importorskip("manifold3d")
 
     def solid(vertices: np.ndarray, faces: np.ndarray):
         made = manifold3d.Manifold(

@@ -11,6 +11,8 @@ import numpy as np
 MAX_FACES = 2_000_000
 # A corner that turns the other way by less than this share of its sides' product is taken as straight.
 _STRAIGHT = 1e-9
+# Squares of the corners of hollow polygons of a size, at most: cutting them takes seconds.
+_MOST_CUTTING = 4_000_000
 
 
 class FormatError(ValueError):
@@ -69,14 +71,21 @@ def _cut(vertices: np.ndarray, polygons: np.ndarray, rank: np.ndarray) -> np.nda
     turned = rank[polygons[:, 1]] > rank[polygons[:, -1]]
     polygons[turned, 1:] = polygons[turned, :0:-1]
     triangles = polygons[:, [corner for k in range(1, size - 1) for corner in (0, k, k + 1)]].reshape(count, -1, 3)
-    for p in np.flatnonzero(~_convex(vertices[polygons])):
-        triangles[p] = polygons[p][_ears(vertices[polygons[p]])]
+    reflex = _reflex(vertices[polygons])
+    if size == 4:
+        other = reflex[:, 1] | reflex[:, 3]  # cut from there instead
+        triangles[other] = polygons[other][:, [[1, 2, 3], [1, 3, 0]]]
+    elif (hollow := np.flatnonzero(reflex.any(1))).size:
+        if len(hollow) * size**2 > _MOST_CUTTING:
+            raise FormatError(f"it has {len(hollow):,} hollow faces of {size:,} corners: export it as triangles")
+        for p in hollow:
+            triangles[p] = polygons[p][_ears(vertices[polygons[p]])]
     triangles[turned] = triangles[turned, :, ::-1]
     return triangles.reshape(-1, 3)
 
 
-def _convex(points: np.ndarray) -> np.ndarray:
-    """(P,) whether polygons (P, k, 3) turn the same way at every corner."""
+def _reflex(points: np.ndarray) -> np.ndarray:
+    """(P, k) at which corners polygons (P, k, 3) turn against the way that they turn as a whole."""
     with np.errstate(invalid="ignore", over="ignore"):
         points = points - points.mean(1, keepdims=True)
         side = np.roll(points, -1, 1) - points
@@ -84,7 +93,7 @@ def _convex(points: np.ndarray) -> np.ndarray:
         turn = np.cross(np.roll(side, 1, 1), side)
         length = np.linalg.norm(side, axis=-1)
         bound = _STRAIGHT * length * np.roll(length, 1, 1) * np.linalg.norm(normal, axis=-1)[:, None]
-        return ~(np.einsum("pkx,px->pk", turn, normal) < -bound).any(1)
+        return np.einsum("pkx,px->pk", turn, normal) < -bound
 
 
 def _ears(points: np.ndarray) -> np.ndarray:
@@ -112,7 +121,8 @@ def _is_ear(flat: np.ndarray, left: Sequence[int], i: int) -> bool:
 
     if beside(a, b, c) <= 0:
         return False
-    others = flat[[j for j in left if (flat[j] != a).any() and (flat[j] != b).any() and (flat[j] != c).any()]]
+    others = flat[left]
+    others = others[np.logical_and.reduce([(others != corner).any(1) for corner in (a, b, c)])]
     return not ((beside(a, b, others) >= 0) & (beside(b, c, others) >= 0) & (beside(c, a, others) >= 0)).any()
 
 

@@ -1,4 +1,4 @@
-"""A mesh file's geometry, by the reader of its format; files are told apart by their content, too."""
+"""A mesh file's geometry, by the reader of its format; files are known by their content, too."""
 
 from __future__ import annotations
 

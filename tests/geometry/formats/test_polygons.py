@@ -63,6 +63,13 @@ def test_a_solid_of_concave_polygons_has_its_volume():
     assert solid.is_watertight and solid.volume == pytest.approx(3) and solid.area == pytest.approx(14)
 
 
+def test_faces_that_would_take_hours_to_cut_are_refused():
+    points = star(3000, 0)
+    with pytest.raises(FormatError, match=r"1 hollow faces of 3,000 corners: export it as triangles"):
+        triangulated(points, np.array([3000]), np.arange(3000))
+    assert len(triangulated(points[::10], np.array([300]), np.arange(300)).faces) == 298
+
+
 @pytest.mark.parametrize("corners", [[0, 1, 3], [-1, 0, 1], [0, 1, 2**40]])
 def test_corners_at_no_vertex_are_refused(corners):
     with pytest.raises(FormatError, match="a face names vertex"):

@@ -1,4 +1,4 @@
-"""STL, ASCII and binary, told apart by what they hold."""
+"""STL, ASCII and binary, known by what they hold."""
 
 import numpy as np
 import pytest
