@@ -59,11 +59,11 @@ class Run:
 
     def metrics(self) -> dict[str, float]:
         """Those of its best epoch, and its test errors. Only for a run that is done."""
-        return json.loads((self.folder / METRICS).read_text())
+        return json.loads((self.folder / METRICS).read_text(encoding="utf-8"))
 
     def _outcome(self) -> dict[str, str]:
         path = self.folder / OUTCOME
-        return json.loads(path.read_text()) if path.exists() else {}
+        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 
 def folder_name(overrides: Iterable[str], values: Mapping[str, str]) -> str:

@@ -45,7 +45,7 @@ class History(L.Callback):
 def read_history(run_dir: str | Path) -> list[Epoch]:
     """The epochs of a run so far; none where it has not come to the end of one."""
     path = Path(run_dir) / HISTORY
-    return json.loads(path.read_text()) if path.exists() else []
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
 
 
 def best_epoch(epochs: list[Epoch], objective: str) -> Epoch | None:

@@ -164,7 +164,7 @@ def _refuse_other_settings(path: Path, cfg: DictConfig) -> None:
 def _earlier(path: Path) -> dict[str, Any]:
     """Of a run that goes on: the networks that it started from, and what it ran with before, attempt by attempt."""
     try:
-        before = json.loads(path.read_text())
+        before = json.loads(path.read_text(encoding="utf-8"))
         attempt = {key: before[key] for key in ("made", "versions", "machine", "commit")}
         return {"trained_from": before["trained_from"], "earlier": [*before.get("earlier", []), attempt]}
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -270,3 +270,16 @@ def test_shipped_weights_fit_the_box():
         record = read_provenance(file)
         assert record["config"]["data"]["root"] == "data/open" and record["metrics"]["test/test/v2v_mae"] < 18.4
         assert not Path(record["config"]["run_dir"]).is_absolute()
+
+
+def test_the_programs_default_dtype_is_of_no_influence(grabber, block, grasps, cache_dir):
+    torch.set_default_dtype(torch.float64)
+    try:
+        networks = {kind: Grabber.from_pretrained().weights[kind].name for kind in ("CoarseNet", "RefineNet")}
+        again = Grabber(grabber.generator, grabber.hand)(block, 2, cache_dir=cache_dir)
+        assert torch.get_default_dtype() == torch.float64
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert set(networks.values()) == {FILE_NAME}
+    plain = grabber(block, 2, cache_dir=cache_dir)
+    torch.testing.assert_close(again.vertices, plain.vertices, rtol=0, atol=0)
