@@ -40,7 +40,7 @@ def command_help(hydra: Hydra, config_name: str, overrides: list[str], about: st
         path = _path(hydra, default.config_path)
         heading = f"{path.name}" if default.config_path == config_name else f"{default.config_path}.yaml"
         below = f", below {default.package}" if default.package else ""
-        if text := _values(path.read_text()):
+        if text := _values(path.read_text(encoding="utf-8")):
             sections.append(f"── {heading}{below} {'─' * max(0, 100 - len(heading + below))}\n{text}")
     return "\n\n".join([*sections, _HYDRA])
 

@@ -54,7 +54,10 @@ class Card:
         write_json(folder / "card.json", self.content)
         with replacing(folder / "card.md") as temporary:
             temporary.write_text(self._markdown(), encoding="utf-8")
-        with replacing(folder / "waterfall.csv") as temporary, temporary.open("w", newline="") as file:
+        with (
+            replacing(folder / "waterfall.csv") as temporary,
+            temporary.open("w", newline="", encoding="utf-8") as file,
+        ):
             rows = self.waterfall.by("split", "intent", "object")
             writer = csv.writer(file)
             writer.writerow(["split", "intent", "object", *next(iter(rows.values()))])
