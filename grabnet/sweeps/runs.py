@@ -59,7 +59,6 @@ class Run:
         return self.status in (DONE, PRUNED)
 
     def metrics(self) -> dict[str, float]:
-<<<<<<< HEAD
         """Those of its best epoch, and its test errors. Only for a run that is done.
 
         Raises:
@@ -70,14 +69,6 @@ class Run:
     def _outcome(self) -> dict[str, str]:
         path = self.folder / OUTCOME
         return read_json(path, {"status": {PRUNED, FAILED}, "reason": str}, _REMEDY) if path.exists() else {}
-=======
-        """Those of its best epoch, and its test errors. Only for a run that is done."""
-        return json.loads((self.folder / METRICS).read_text(encoding="utf-8"))
-
-    def _outcome(self) -> dict[str, str]:
-        path = self.folder / OUTCOME
-        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
->>>>>>> commands
 
 
 def folder_name(overrides: Iterable[str], values: Mapping[str, str]) -> str:

@@ -50,11 +50,7 @@ def read_history(run_dir: str | Path) -> list[Epoch]:
         UserError: a damaged file.
     """
     path = Path(run_dir) / HISTORY
-<<<<<<< HEAD
     return read_json(path, [_EPOCH], "delete it, or run that training again") if path.exists() else []
-=======
-    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
->>>>>>> commands
 
 
 def best_epoch(epochs: list[Epoch], objective: str) -> Epoch | None:

@@ -168,22 +168,10 @@ def _refuse_other_settings(path: Path, cfg: DictConfig) -> None:
 
 def _earlier(path: Path) -> dict[str, Any]:
     """Of a run that goes on: the networks that it started from, and what it ran with before, attempt by attempt."""
-<<<<<<< HEAD
     remedy = "choose another run_dir, or start the run from scratch with resume=false"
     before = read_json(path, _PROVENANCE, remedy)
     attempt = {key: before[key] for key in ("made", "versions", "machine", "commit")}
     return {"trained_from": before["trained_from"], "earlier": [*before.get("earlier", []), attempt]}
-=======
-    try:
-        before = json.loads(path.read_text(encoding="utf-8"))
-        attempt = {key: before[key] for key in ("made", "versions", "machine", "commit")}
-        return {"trained_from": before["trained_from"], "earlier": [*before.get("earlier", []), attempt]}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(
-            f"{path} is missing, damaged or of an older version ({error!r}): choose another run_dir, or begin the run "
-            "anew with resume=false."
-        ) from None
->>>>>>> commands
 
 
 def _trainer(cfg: DictConfig, history: History) -> L.Trainer:

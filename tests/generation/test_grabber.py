@@ -272,7 +272,6 @@ def test_shipped_weights_fit_the_box():
         assert not Path(record["config"]["run_dir"]).is_absolute()
 
 
-<<<<<<< HEAD
 def test_grasps_do_not_depend_on_where_the_vertices_crowd(grabber, cache_dir):
     """One corner of the same box cut up finely: the mean vertex moves by centimetres, the grasps stay."""
     even = trimesh.creation.box((0.05, 0.06, 0.1)).subdivide().subdivide()
@@ -345,7 +344,8 @@ def test_left_hands_are_optimised_and_chosen_as_the_mirror_image(choosy, chosen,
 def test_numbers_that_ask_for_nothing_are_refused(grabber, wrong):
     with pytest.raises(UserError, match=next(iter(wrong))):
         grabber.changed(**wrong)
-=======
+
+
 def test_the_programs_default_dtype_is_of_no_influence(grabber, block, grasps, cache_dir):
     torch.set_default_dtype(torch.float64)
     try:
@@ -357,4 +357,3 @@ def test_the_programs_default_dtype_is_of_no_influence(grabber, block, grasps, c
     assert set(networks.values()) == {FILE_NAME}
     plain = grabber(block, 2, cache_dir=cache_dir)
     torch.testing.assert_close(again.vertices, plain.vertices, rtol=0, atol=0)
->>>>>>> commands
