@@ -15,6 +15,7 @@ from grabnet.grasping.grasp_hand import GraspHand, GraspPose
 from grabnet.grasping.obstacles import ObstacleConfig, Obstacles
 from grabnet.grasping.seen import Pads, Seen
 from grabnet.grasping.surface import Surface
+from grabnet.precision import full_precision
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,7 @@ class GraspOptimiser:
             on_pads = likelihood.to(hand.rest)[hand.sample[hand.pads]] * hand.pad_mask
             self.pad_weight = on_pads.sum(1) / hand.pad_mask.sum(1) / on_pads.max()
 
+    @full_precision
     def __call__(
         self, start: GraspPose, surface: Surface, centre: Tensor | None = None, floor: float | None = None
     ) -> GraspPose:

@@ -78,6 +78,15 @@ def test_a_grasp_does_not_depend_on_those_beside_it(hand):
         torch.testing.assert_close(ours, expected, atol=1e-3, rtol=0)
 
 
+def test_half_precision_around_it_changes_nothing(hand):
+    start, middle = around(hand, n=2)
+    optimise = GraspOptimiser(hand, replace(CONFIG, iterations=3))
+    with torch.autocast("cpu", torch.bfloat16):
+        inside = optimise(start, ball(0.03, middle))
+    for ours, expected in zip(inside, optimise(start, ball(0.03, middle)), strict=True):
+        torch.testing.assert_close(ours, expected, atol=1e-6, rtol=0)
+
+
 def test_a_table_stays_under_the_hand(hand):
     start, middle = around(hand)
     look, optimise = ball(0.03, middle), GraspOptimiser(hand, CONFIG)
