@@ -23,12 +23,12 @@ class OptimiserConfig(DescentConfig, ObstacleConfig):
     """Descent, and the weights of the energy's terms; lengths in millimetres."""
 
     contact: float = 2.0  # per mm of a pad's distance
-    contact_target: float = -1.0  # pads sink in a little: skin yields
+    contact_target: float = -0.7  # pads sink in a little: skin yields
     furthest: float = 1000.0  # a pad further away than this no longer pulls
     phalanges: float = 1.0  # share of the pads of proximal and middle phalanges, fingertips having 1
     palm: float = 0.6  # share of the palm's pads and of the index finger's side
     near: float = 30.0  # over which a pad's share fades with its distance at the start
-    skin_slack: float = 1.1
+    skin_slack: float = 0.8
     self_overlap: float = 1.0  # per mm² of overlap between fingers
     alignment: float = 3.0  # pads face the surface they touch
     opposition: float = 3.0  # thumb and fingers press against each other
