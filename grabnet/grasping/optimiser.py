@@ -16,6 +16,7 @@ from grabnet.grasping.grasp_hand import GraspHand, GraspPose
 from grabnet.grasping.obstacles import ObstacleConfig, Obstacles
 from grabnet.grasping.seen import Pads, Seen
 from grabnet.grasping.surface import Surface
+from grabnet.precision import full_precision
 
 
 @dataclass(frozen=True)
@@ -23,12 +24,12 @@ class OptimiserConfig(DescentConfig, ObstacleConfig):
     """Descent, and the weights of the energy's terms; lengths in millimetres."""
 
     contact: Weight = 2.0  # per mm of a pad's distance
-    contact_target: Annotated[float, Range()] = -1.0  # pads sink in a little: skin yields
+    contact_target: Annotated[float, Range()] = -0.7  # pads sink in a little: skin yields
     furthest: Positive = 1000.0  # a pad further away than this no longer pulls
     phalanges: Weight = 1.0  # share of the pads of proximal and middle phalanges, fingertips having 1
     palm: Weight = 0.6  # share of the palm's pads and of the index finger's side
     near: Positive = 30.0  # over which a pad's share fades with its distance at the start
-    skin_slack: Weight = 1.1
+    skin_slack: Weight = 0.8
     self_overlap: Weight = 1.0  # per mm² of overlap between fingers
     alignment: Weight = 3.0  # pads face the surface they touch
     opposition: Weight = 3.0  # thumb and fingers press against each other
@@ -64,6 +65,7 @@ class GraspOptimiser:
             on_pads = likelihood.to(hand.rest)[hand.sample[hand.pads]] * hand.pad_mask
             self.pad_weight = on_pads.sum(1) / hand.pad_mask.sum(1) / on_pads.max()
 
+    @full_precision
     def __call__(
         self, start: GraspPose, surface: Surface, centre: Tensor | None = None, floor: float | None = None
     ) -> GraspPose:

@@ -87,7 +87,7 @@ def overlaps(spheres: Tensor, apart: Tensor) -> Tensor:
 class SelfOverlap:
     """Overlap of a hand's fingers with each other and with the palm, only of spheres that may not meet.
 
-    The same as `overlaps(spheres, apart).square().sum((1, 2)) / 2`, where differentiable, in a hundredth of the time.
+    The same as `overlaps(spheres, apart).square().sum((1, 2)) / 2`, where differentiable, in a small part of the time.
 
     Args:
         apart: (S, S) metres, symmetric, see `clearance`.

@@ -78,6 +78,24 @@ def test_a_grasp_does_not_depend_on_those_beside_it(hand):
         torch.testing.assert_close(ours, expected, atol=1e-3, rtol=0)
 
 
+@pytest.mark.parametrize("size", [-3.0, 3.0])
+def test_hands_of_any_size_hold_a_ball(size, model, anatomy):
+    other = GraspHand(model, anatomy, torch.tensor([size, 1.0, -1.0]))
+    start, middle = around(other, n=3)
+    depth, fingers = states(other, GraspOptimiser(other, CONFIG)(start, ball(0.03, middle)), ball(0.03, middle))
+    assert depth.max() < 2.5
+    assert (fingers[:, 0] < 2).all() and (fingers[:, 1:].amin(1) < 2).all()
+
+
+def test_half_precision_around_it_changes_nothing(hand):
+    start, middle = around(hand, n=2)
+    optimise = GraspOptimiser(hand, replace(CONFIG, iterations=3))
+    with torch.autocast("cpu", torch.bfloat16):
+        inside = optimise(start, ball(0.03, middle))
+    for ours, expected in zip(inside, optimise(start, ball(0.03, middle)), strict=True):
+        torch.testing.assert_close(ours, expected, atol=1e-6, rtol=0)
+
+
 def test_a_table_stays_under_the_hand(hand):
     start, middle = around(hand)
     look, optimise = ball(0.03, middle), GraspOptimiser(hand, CONFIG)
