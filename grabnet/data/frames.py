@@ -137,8 +137,8 @@ class FramesStore:
         card = read_json(path, {"format": object}, _REMEDY)
         if card["format"] != FORMAT:
             raise UserError(
-                f"{root} is a frames store of format {card['format']}, and {FORMAT} is read here: delete it and make it "
-                "again."
+                f"{root} is a frames store of format {card['format']}, and {FORMAT} is read here: delete it and "
+                "make it again."
             )
         card = read_json(path, _CARD, _REMEDY)
         subjects, objects, sequences = card["subjects"], card["objects"], card["sequences"]
