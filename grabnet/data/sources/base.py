@@ -98,7 +98,8 @@ def write_store(root: Path, source: FrameSource) -> None:
         source: what to write.
 
     Raises:
-        UserError: the store there was started with another recipe, or frames that name an unknown subject or object, are not finite, or have no rotations.
+        UserError: the store there was started with another recipe, or frames that name an unknown subject or object,
+            are not finite, or have no rotations.
     """
     store = root / "frames"
     recipe = {"store": FORMAT, "hand_sha256": source.hand.fingerprint} | source.recipe()
