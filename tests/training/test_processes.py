@@ -82,7 +82,8 @@ def test_two_processes_write_one_run(two, model):
     folder, said = two[model]
     assert said.count("Weights, metrics and logs are in") == 1
     files = {"config.yaml", "provenance.json", "history.json", "metrics.json", "model.safetensors"}
-    assert {p.name for p in folder.iterdir()} - {".hydra", "train.log", "pictures"} == {*files, "checkpoints", "logs"}
+    beside = {".hydra", ".lock", "train.log", "pictures"}
+    assert {p.name for p in folder.iterdir()} - beside == {*files, "checkpoints", "logs"}
     assert [p.name for p in (folder / "logs").iterdir()] == ["version_0"]
     assert {p.name for p in (folder / "checkpoints").iterdir()} == {BEST, LAST, PREVIOUS}
 
