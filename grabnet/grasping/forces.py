@@ -25,22 +25,24 @@ class ForceConfig:
         in_range(self, "optimiser.forces.")
 
 
-def wrenches(pads: Pads, centre: Tensor, config: ForceConfig) -> Tensor:
-    """(B, 6, 4·P) force and torque of unit pressure along four edges of each pad's friction cone.
-
-    Scaled by how nearly the pad touches; pressing in counts no more than touching.
-
-    Args:
-        centre: (B or 1, 3) metres, where gravity pulls.
-    """
+def cones(pads: Pads, friction: float) -> Tensor:
+    """(B, P, 4, 3) edges of the pads' friction cones: forces on the object, each of unit pressure."""
     inward = -pads.surface
     side, other = across(inward)
-    tangents = config.friction * torch.stack([side, -side, other, -other], 2)
-    force = inward.unsqueeze(2) + tangents  # (B, P, 4, 3)
+    return inward.unsqueeze(2) + friction * torch.stack([side, -side, other, -other], 2)
+
+
+def touching(pads: Pads, config: ForceConfig) -> Tensor:
+    """(B, P) how nearly each pad touches, at most 1: pressing in counts no more than touching."""
+    return torch.exp(-pads.distance.relu() / config.reach)
+
+
+def wrenches(pads: Pads, centre: Tensor, config: ForceConfig) -> Tensor:
+    """(B, 6, 4·P) force and torque about `centre` (B or 1, 3) of the cones' edges, by how nearly the pads touch."""
+    force = cones(pads, config.friction)
     arm = (pads.place - centre.unsqueeze(1)) / config.arm
     torque = torch.linalg.cross(arm.unsqueeze(2).expand_as(force), force)
-    touching = torch.exp(-pads.distance.relu() / config.reach)
-    return (torch.cat([force, torque], -1) * touching[..., None, None]).flatten(1, 2).mT
+    return (torch.cat([force, torque], -1) * touching(pads, config)[..., None, None]).flatten(1, 2).mT
 
 
 def across(normal: Tensor) -> tuple[Tensor, Tensor]:
@@ -63,9 +65,10 @@ class HeldForces:
 
     def __init__(self, wrist: Tensor, n_pads: int, config: ForceConfig):
         self.config = config
-        self._forces = wrist.new_zeros(len(wrist), 4 * n_pads, 6)
+        self._pressures = wrist.new_zeros(len(wrist), 4 * n_pads, 6)
+        self._forces = wrist.new_zeros(len(wrist), n_pads, 18)  # their three coordinates, for each of six loads
         directions = torch.cat([torch.eye(3), -torch.eye(3)], 1)
-        self._load = torch.cat([directions, torch.zeros(3, 6)]).to(wrist)  # a column for each direction
+        self._load = torch.cat([directions, torch.zeros(3, 6)]).to(wrist)  # a column for each direction of gravity
 
     def unmet(self, pads: Pads, centre: Tensor, solve: bool) -> Tensor:
         """(B,) mean over six directions of gravity of the squared share of the load that is left, plus the effort.
@@ -73,15 +76,26 @@ class HeldForces:
         The forces are the minimiser of just that, so that its gradient is that at fixed forces (envelope theorem).
 
         Args:
+            centre: (B or 1, 3) metres, where gravity pulls.
             solve: False keeps the forces of the look before.
         """
-        matrix = wrenches(pads, centre, self.config)
         if solve:
-            with torch.no_grad():
-                self._forces = solved(matrix, self._load, self._forces, self.config)
-        left = matrix @ self._forces - self._load
-        effort = self.config.effort * self._forces.square().sum((1, 2))
+            self._solve(pads, centre)
+        touch = touching(pads, self.config).unsqueeze(1)
+        arm = (pads.place - centre.unsqueeze(1)).mT / self.config.arm
+        force, *moments = (torch.cat([touch, touch * arm], 1) @ self._forces).unflatten(2, (3, 6)).unbind(1)
+        x, y, z = moments  # (B, 3, 6): the sums of one coordinate of the arm times each of the force
+        torque = torch.stack([y[:, 2] - z[:, 1], z[:, 0] - x[:, 2], x[:, 1] - y[:, 0]], 1)
+        left = torch.cat([force, torque], 1) - self._load
+        effort = self.config.effort * self._pressures.square().sum((1, 2))
         return (left.square().sum((1, 2)) + effort) / 6
+
+    @torch.no_grad()
+    def _solve(self, pads: Pads, centre: Tensor) -> None:
+        self._pressures = solved(wrenches(pads, centre, self.config), self._load, self._pressures, self.config)
+        edges = cones(pads, self.config.friction)
+        pressures = self._pressures.unflatten(1, edges.shape[1:3])
+        self._forces = (edges.mT @ pressures).flatten(2)
 
 
 def solved(matrix: Tensor, load: Tensor, forces: Tensor, config: ForceConfig) -> Tensor:
