@@ -60,6 +60,8 @@ class SamplingConfig:
         in_range(self)
         one_of(self, hand=SIDES, orientation=ORIENTATIONS)
         file_to_object("", self.scale, self.up)  # refuses a wrong scale or axis
+        if wrong := [b for b in self.betas or [] if not isinstance(b, float | int)]:
+            raise UserError(f"betas holds {wrong[0]!r}; it must be a list of numbers.")
         if unknown := [f for f in listed(self.format) if f not in FORMATS]:
             raise UserError(f"format is '{unknown[0]}'; it can be any of {', '.join(FORMATS)}.")
         usable_device(self.device)

@@ -321,7 +321,7 @@ def test_optimised_and_chosen_grasps_hold_better(grabber, block, cache_dir, choo
     held = [grasps.contacts.pinched.float().mean() for grasps in (drawn, optimised, best)]
     assert depth[1] < 0.5 * depth[0]
     assert held[0] < held[1] <= held[2]
-    assert depth[2] <= depth[1]
+    assert depth[2] < depth[1] + 1e-4
 
 
 def test_the_score_adds_up_what_is_reported(chosen):
@@ -350,10 +350,10 @@ def test_the_programs_default_dtype_is_of_no_influence(grabber, block, grasps, c
     torch.set_default_dtype(torch.float64)
     try:
         networks = {kind: Grabber.from_pretrained().weights[kind].name for kind in ("CoarseNet", "RefineNet")}
-        again = Grabber(grabber.generator, grabber.hand)(block, 2, cache_dir=cache_dir)
+        again = grabber.changed(optimise=4, candidates=2)(block, 2, cache_dir=cache_dir)
         assert torch.get_default_dtype() == torch.float64
     finally:
         torch.set_default_dtype(torch.float32)
     assert set(networks.values()) == {FILE_NAME}
-    plain = grabber(block, 2, cache_dir=cache_dir)
+    plain = grabber.changed(optimise=4, candidates=2)(block, 2, cache_dir=cache_dir)
     torch.testing.assert_close(again.vertices, plain.vertices, rtol=0, atol=0)

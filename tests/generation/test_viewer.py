@@ -63,11 +63,12 @@ def test_title_and_measurements_are_those_of_the_grasps(browser, grasps):
     record = grasps.report()[1]
     assert "grasp 1 (of 0 to 4, as in the files)" in facts  # counted as in meshes/grasp_001.glb and grasps.json
     buttons = browser.evaluate("[...document.querySelectorAll('#list button')].map(b => b.textContent)")
-    assert buttons == [f"{r['index']}: {r['max_penetration_mm']:.1f} mm" for r in grasps.report()]
+    depth = ["goes through" if r["pierced"] else f"{r['max_penetration_mm']:.1f} mm deep" for r in grasps.report()]
+    assert buttons == [f"{i}: {words}" for i, words in enumerate(depth)]
     assert f"{record['max_penetration_mm']:.1f} mm" in facts
     assert f"{record['through_mm']:.1f} mm" in facts
     assert caption(record) in facts
-    assert re.search(rf"goes through the object\s+{'yes' if record['pierced'] else 'no'}", facts)
+    assert re.search(rf"goes through\s+{'yes' if record['pierced'] else 'no'}", facts)
     for part, count in record["contact_vertices"].items():
         assert re.search(rf"{part}\s+{f'{count} in contact' if count else '–'}", facts)
 

@@ -56,9 +56,11 @@ def test_half_written_files_of_killed_processes_are_cleared_and_those_in_use_are
 
 
 def test_a_half_filled_folder_is_cleared_by_the_next_that_fills_it(tmp_path):
-    _kill(_writing(f"filling({str(tmp_path / 'bowl')!r}, ('grasps.json',))", "temporary / 'grasps.json'"))
+    _kill(
+        _writing(f"filling({str(tmp_path / 'bowl')!r}, ('grasps.json',), lambda _: True)", "temporary / 'grasps.json'")
+    )
     assert len(_names(tmp_path)) == 1
-    with filling(tmp_path / "bowl", ("grasps.json",)) as temporary:
+    with filling(tmp_path / "bowl", ("grasps.json",), lambda _: True) as temporary:
         (temporary / "grasps.json").write_text("{}")
     assert _names(tmp_path) == ["bowl"] and _names(tmp_path / "bowl") == ["grasps.json"]
 

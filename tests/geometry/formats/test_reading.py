@@ -67,7 +67,7 @@ def gltf(folder, uri: str):
         (".", "it is a folder"),
         ("a\0b", "no file name"),
         ("a\x1b[2Jb", "no file name"),
-        ("x" * 3000, "cannot be read"),
+        ("x" * 3000, "cannot be opened"),
         ("/dev/zero", "outside its own folder"),
         ("inner/../../x.bin", "outside its own folder"),
         ("file:///etc/hostname", "does not exist"),
