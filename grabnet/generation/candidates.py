@@ -63,7 +63,8 @@ def draw(
         chosen = objects.select(way)
         hands = generator.sample(codes[way], chosen, z, rest)
         if optimiser is not None:
-            optimised = optimiser(optimiser.hand.pose_of(hands), chosen.surface)
+            # Gravity pulls where the object is centred: at the origin of its world.
+            optimised = optimiser(optimiser.hand.pose_of(hands), chosen.surface, hands.transl.new_zeros(3))
             hands = optimiser.hand.parameters(optimised)
         yield Candidates(hands, way)
 

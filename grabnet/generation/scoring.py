@@ -19,7 +19,7 @@ from grabnet.grasping.screening import screen
 from grabnet.grasping.seen import Seen
 
 # mm, over which a pad's contact is spread among its vertices, and steps until contact forces are found.
-_SOFTNESS, _FORCE_STEPS = 1.5, 32
+_SOFTNESS, _FORCE_STEPS = 1.5, 200
 
 
 class Judged(NamedTuple):
