@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,8 +72,8 @@ class EvaluationConfig:
         return {"optimise": self.optimise, "candidates": self.candidates} | chosen
 
     def treated(self, generator: GraspGenerator, hand: HandModel) -> Grabber:
-        """Draws from a generator as from the models that are evaluated."""
-        return Grabber(generator, hand, **self.treatment).to(usable_device(self.device))
+        """Draws from a generator as from the models that are evaluated, with a hand of its own on the device."""
+        return Grabber(generator, deepcopy(hand), **self.treatment).to(usable_device(self.device))
 
     @property
     def folders(self) -> list[Path]:

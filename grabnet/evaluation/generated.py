@@ -27,7 +27,7 @@ from grabnet.evaluation.cache import Cache
 from grabnet.evaluation.hands import Hands
 from grabnet.generation.grabber import Grabber
 from grabnet.geometry.mesh import Mesh, load_mesh
-from grabnet.geometry.openings import boundary_loops
+from grabnet.geometry.openings import boundary_loops, close
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.io.files import existing, sha256
 from grabnet.io.names import originals
@@ -101,7 +101,10 @@ def _meshed(place: Path, n: int) -> tuple[Hands, list[Path]]:
         boundary_loops(meshes[0].faces)
     except ValueError as error:
         raise UserError(f"{files[0]} cannot be closed at the wrist: {error}.") from None
-    return Hands(vertices=np.stack([m.vertices for m in meshes]), faces=meshes[0].faces.astype(np.int64)), files
+    vertices, faces = np.stack([m.vertices for m in meshes]), meshes[0].faces.astype(np.int64)
+    closed = Mesh(*(x[0] if x.ndim == 3 else x for x in close(vertices[:1], faces)))
+    # Some write faces clockwise; what is measured of hands takes them to look outwards.
+    return Hands(vertices=vertices, faces=faces if closed.volume >= 0 else faces[:, ::-1].copy()), files
 
 
 def _check_hands(vertices: np.ndarray, sources: Sequence[Path], mesh: Mesh, file: Path) -> None:

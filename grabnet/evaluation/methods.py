@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import sys
-from copy import deepcopy
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from grabnet.body.anatomy import Anatomy
 from grabnet.cli.progress import track
 from grabnet.errors import UserError
-from grabnet.evaluation.baseline import lookalike, transplanted
+from grabnet.evaluation.baseline import Lookalike, lookalike, transplanted
 from grabnet.evaluation.bootstrap import Estimate
 from grabnet.evaluation.cache import Arrays
 from grabnet.evaluation.generated import drawn, read_grasps
@@ -23,9 +21,6 @@ from grabnet.evaluation.recorded import ground_truth_sample, recorded_hands
 from grabnet.evaluation.recorded_generator import RecordedGenerator
 from grabnet.evaluation.template_generator import TemplateGenerator
 from grabnet.geometry.mesh import load_mesh
-from grabnet.grasping.grasp_hand import GraspHand
-from grabnet.grasping.proposing.templates import TemplateConfig, build_templates, natural_limits
-from grabnet.models.generator import GraspGenerator
 
 # Rank of what is expected to come out worse than anything else.
 _LAST = 100
@@ -89,7 +84,7 @@ def _without_network(inputs: EvaluationInputs) -> list[Method]:
     files = [inputs.files[name] for name in names]
     about = "training grasps of the object with the most similar BPS, put in the same place"
     baseline = Method("Naive baseline", about, _LAST, {}, is_recorded=True)
-    hand, similar = deepcopy(inputs.hand), {}
+    similar: dict[str, Lookalike] = {}
     for name, mesh in track(inputs.meshes.items(), "Looking for similar objects"):
         similar[name] = lookalike(mesh, files, inputs.cache)
         origin = load_mesh(files[similar[name].number])
@@ -98,28 +93,24 @@ def _without_network(inputs: EvaluationInputs) -> list[Method]:
         baseline.hands[name] = transplanted(hands.select(chosen), origin, mesh, similar[name].turn)
         print(f"{baseline.name}: {name} is grasped like {names[similar[name].number]}")
 
-    def recorded(name: str) -> GraspGenerator:
-        return RecordedGenerator(inputs.training_part, hand, names[similar[name].number], similar[name].turn)
-
-    note = treatment(config.treated(recorded(next(iter(similar))), hand))
+    note = treatment(config.optimise, config.candidates)
     if not note:
         return [baseline]
-    held = GraspHand(hand, Anatomy.of(hand), hand.shapedirs.new_zeros(hand.shapedirs.shape[-1]))
-    templates = build_templates(held, natural_limits(held.anatomy, TemplateConfig()))
-
-    def proposed(name: str) -> GraspGenerator:
-        return TemplateGenerator(inputs.meshes[name], held, templates, inputs.data.cache_dir)
-
+    recorded, proposed = {}, {}
+    for name, mesh in inputs.meshes.items():
+        number, turn = similar[name]
+        recorded[name] = RecordedGenerator(inputs.training_part, inputs.hand, names[number], turn)
+        proposed[name] = TemplateGenerator(mesh, inputs.hand, inputs.data.cache_dir)
     rows = {
-        "Naive baseline": (recorded, "the same grasps with the mean hand", inputs.fingerprint),
-        "Templates": (proposed, "templates of human grasps where they fit the object, without any network", []),
+        "Naive baseline": ("recorded grasps of the same object, with the mean hand", recorded, inputs.fingerprint),
+        "Templates": ("templates of human grasps where they fit the object, without any network", proposed, []),
     }
     methods = [baseline]
-    for title, (generator, about, sources) in rows.items():
+    for title, (about, generators, sources) in rows.items():
         hands = {}
         for name, mesh in inputs.meshes.items():
-            grabber = config.treated(generator(name), hand)
-            made = [title, *sources, str(similar[name])]
+            grabber = config.treated(generators[name], inputs.hand)
+            made = [title, *sources, *([str(similar[name])] if sources else [])]
             hands[name] = drawn(grabber, made, mesh, config.n, config.seed, inputs.data.cache_dir, inputs.cache)
         methods.append(Method(title + note, about + note, 2, hands))
     return methods

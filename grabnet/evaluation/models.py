@@ -64,13 +64,13 @@ def treatments(grabber: Grabber) -> dict[str, Grabber]:
     if grabber.optimise and grabber.candidates > 1:
         treated[", optimised"] = grabber.changed(candidates=1)
     if grabber.optimise or grabber.candidates > 1:
-        treated[treatment(grabber)] = grabber
+        treated[treatment(grabber.optimise, grabber.candidates)] = grabber
     return treated
 
 
-def treatment(grabber: Grabber) -> str:
-    """What a grabber does to the grasps that its generator draws, as in ", optimised, best of 4"."""
-    return ", optimised" * bool(grabber.optimise) + f", best of {grabber.candidates}" * (grabber.candidates > 1)
+def treatment(optimise: int, candidates: int) -> str:
+    """What a grabber with these settings does to the grasps that its generator draws: ", optimised, best of 4"."""
+    return ", optimised" * bool(optimise) + f", best of {candidates}" * (candidates > 1)
 
 
 def load_models(

@@ -40,6 +40,7 @@ def draw(
     seed: int,
     rest: Tensor,
     optimiser: GraspOptimiser | None,
+    floor: float | None = None,
 ) -> Iterator[Candidates]:
     """Draw n candidates in batches; the last batch is filled up.
 
@@ -54,6 +55,7 @@ def draw(
         seed: of the random numbers.
         rest: (V, 3) rest vertices, metres.
         optimiser: of hands of this shape; None to leave them as they are drawn.
+        floor: height of the table in the world, metres, that the optimiser keeps hands above; None where there is none.
     """
     n_filled = -(-n // batch_size) * batch_size
     noise = _noise(n_filled, generator.noise_dim, seed).to(rest.device)
@@ -64,7 +66,7 @@ def draw(
         hands = generator.sample(codes[way], chosen, z, rest)
         if optimiser is not None:
             # Gravity pulls where the object is centred: at the origin of its world.
-            optimised = optimiser(optimiser.hand.pose_of(hands), chosen.surface, hands.transl.new_zeros(3))
+            optimised = optimiser(optimiser.hand.pose_of(hands), chosen.surface, hands.transl.new_zeros(3), floor)
             hands = optimiser.hand.parameters(optimised)
         yield Candidates(hands, way)
 

@@ -19,20 +19,20 @@ def caption(record: Mapping[str, Any]) -> str:
     Args:
         record: of `Grasps.report`.
     """
-    touching = [finger for finger in FINGERS if record["contact_vertices"][finger]]
-    n = len(touching) - ("thumb" in touching)  # without the thumb
-    fingers = f"{n} finger{'s' * (n != 1)}"
-    if not touching:
-        held = "only the palm touches" if record["contact_vertices"]["palm"] else "nothing touches"
-    elif touching == ["thumb"]:
-        held = "only the thumb touches"
-    elif "thumb" not in touching:
-        held = f"{fingers}, no thumb"
+    touching = {part for part, count in record["contact_vertices"].items() if count}
+    n = len(touching & set(FINGERS) - {"thumb"})
+    fingers = [f"{n} finger{'s' * (n != 1)}"] * (n > 0)
+    parts = ["thumb"] * ("thumb" in touching) + fingers + ["palm"] * ("palm" in touching)
+    if not parts:
+        held = "nothing touches"
+    elif len(parts) == 1:
+        held = f"only {'the ' * (not n)}{parts[0]} touch{'es' * (n < 2)}"
     else:
         how = "" if record["pierced"] else "held by " if record["opposition"] > _HOLDS else "pushed by "
-        held = f"{how}thumb + {fingers}"
+        held = f"{how}{' + '.join(parts)}"
     if record["pierced"]:
-        return f"{held}, {record['through_mm']:.0f} mm through the object"
+        far = f"{record['through_mm']:.0f} mm " * (record["through_mm"] >= 0.5)
+        return f"{held}, {far}through the object"
     wall = record["through_mm"] - record["max_penetration_mm"] > _WALL
     through = f", {record['through_mm']:.0f} mm through a wall" if wall else ""
     return f"{held}, {record['max_penetration_mm']:.1f} mm deep{through}"

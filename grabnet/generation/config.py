@@ -42,6 +42,7 @@ class SamplingConfig:
     runs: str
     hand_model: str | None
     contact_distance: Distance
+    table: bool
     contact_maps: bool
     sheet: Amount
     page: Amount

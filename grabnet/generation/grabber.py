@@ -131,6 +131,7 @@ class Grabber(nn.Module):
         values = {name: getattr(self, name) for name in _SETTINGS} | settings
         return Grabber(generator or self.generator, self.hand, **values).to(self.finger.device)
 
+    @torch.inference_mode(False)  # within it nothing could be optimised
     @torch.no_grad()
     @single_by_default
     def forward(
@@ -148,6 +149,7 @@ class Grabber(nn.Module):
         min_size: Positive = 0.01,
         to_object: np.ndarray | None = None,
         contact_distance: Distance = CONTACT_DISTANCE,
+        table: bool = False,
         cache_dir: str | Path | None = None,
     ) -> Grasps:
         """Sample n grasps of a mesh.
@@ -155,7 +157,7 @@ class Grabber(nn.Module):
         Args:
             mesh: the object, open or closed, or a file of one.
             n: number of grasps.
-            seed: grasp i of a seed is the same for every n: it is chosen from so many candidates as i alone decides
+            seed: grasp i of a seed is the same for every n: it is chosen from as many candidates as i decides
                 (`ranking.pool_sizes`).
             side: "left" grasps the mirrored object with the right-hand networks and mirrors the result back.
             orientation: how the object stands before the hand: "upright", turned about its vertical from grasp to
@@ -167,6 +169,8 @@ class Grabber(nn.Module):
             min_size: metres, of the longest side at least.
             to_object: (4, 4) from the mesh's frame and units to metres, z up, in place of scale and up.
             contact_distance: metres, below which a vertex of the hand touches (paper 3.3).
+            table: the object stands on a table, which hands are optimised and chosen to stay above; not with
+                orientation "random".
             cache_dir: of the signed-distance grid, as in `SDFGrid.load_or_build`.
 
         Raises:
@@ -177,17 +181,20 @@ class Grabber(nn.Module):
         asked.betas = betas.tolist() if isinstance(betas, Tensor) else betas
         in_range(asked, of=Grabber.forward)
         one_of(asked, side=SIDES, orientation=ORIENTATIONS)
+        if table and orientation == "random":
+            raise UserError("orientation is 'random', and table true: an object on a table is upright or fixed.")
         placed = load_object(mesh, scale, up, max_size, min_size, to_object)
         betas = self._betas(betas)
         rest = self.hand.shaped(betas)
-        known, pools = self.generator.conventions.in_use, pool_sizes(n, self.candidates, self.batch_size)
+        known, pools = self.generator.conventions.in_use, pool_sizes(n, self.candidates, self.ranking.pool)
         n_drawn = int(pools[-1]) if self.candidates > 1 else n
         turns = _turns(orientation, min(n_drawn, self.n_turns), seed).to(device)
         placement = Placement.of(placed, turns, side, known)
         grid = SDFGrid.load_or_build(placed.solid, cache_dir, AtlasConfig(centre=known.centre))
         objects = placement.objects(SDFAtlas([grid]).to(device))
         held = GraspHand(self.hand, Anatomy.of(self.hand), betas)
-        kept, ranked = self._kept(objects, held, pools, seed, rest)
+        floor = float(placed.solid.vertices[:, 2].min() - placement.centre[2]) if table else None
+        kept, ranked = self._kept(objects, held, pools, seed, rest, contact_distance, floor)
         parameters, vertices, distances = self._to_mesh(placement, objects, kept, rest)
         in_object_frame = placement.to_object_frame(vertices)
         _measure(MeshQuery(placed.solid, device), in_object_frame, distances)
@@ -228,17 +235,28 @@ class Grabber(nn.Module):
         return betas
 
     def _kept(
-        self, objects: PlacedObjects, held: GraspHand, pools: Tensor, seed: int, rest: Tensor
+        self,
+        objects: PlacedObjects,
+        held: GraspHand,
+        pools: Tensor,
+        seed: int,
+        rest: Tensor,
+        contact_distance: float,
+        floor: float | None,
     ) -> tuple[Candidates, Ranked | None]:
         """A hand of each of the pools, in the right-hand world: the best ones where there are several for each."""
         optimiser = GraspOptimiser(held, self.optimiser) if self.optimise else None
-        interior = Interior.of(held)
+        interior = Interior.of(held) if self.candidates > 1 else None
         drawn, scores, keypoints = [], [], []
-        batches = draw(self.generator, objects, int(pools[-1]), self.batch_size, seed, rest, optimiser)
+        batches = draw(self.generator, objects, int(pools[-1]), self.batch_size, seed, rest, optimiser, floor)
         for batch in track(batches, "Drawing grasps", -(-int(pools[-1]) // self.batch_size)):
             drawn.append(batch)
-            if self.candidates > 1:
-                judged = judge(held, interior, self.hand, batch.hands, rest, objects.select(batch.ways), self.ranking)
+            if interior is not None:
+                seen = objects.select(batch.ways)
+                judged = judge(
+                    *(held, interior, self.hand, batch.hands, rest, seen),
+                    *(self.ranking, self.optimiser.forces, contact_distance, floor),
+                )
                 scores.append(judged.parts)
                 keypoints.append(judged.keypoints)
         all_drawn = Candidates.cat(drawn)

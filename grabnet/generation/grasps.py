@@ -16,6 +16,7 @@ from grabnet.body.hand import HandParameters
 from grabnet.contact import contacts
 from grabnet.contact.contacts import Contacts
 from grabnet.errors import UserError
+from grabnet.generation import ranking
 from grabnet.generation.formats import FORMATS, MESH_NAMES
 from grabnet.generation.ranking import Ranked
 from grabnet.geometry.mesh import Mesh
@@ -169,7 +170,10 @@ class Grasps:
         for name in formats:
             (folder / "meshes").mkdir(exist_ok=True)
             FORMATS[name](folder / "meshes", placed, self.vertices.numpy(), self.faces.numpy())
-        facts = {"remarks": list(self.remarks), "definitions": contacts.DEFINITIONS | measures.DEFINITIONS}
+        facts = {
+            "remarks": list(self.remarks),
+            "definitions": contacts.DEFINITIONS | measures.DEFINITIONS | ranking.DEFINITIONS,
+        }
         facts["contact_distance"] = self.contacts.contact_distance
         write_json(folder / RECORD, {**record, **facts, "grasps": self.report()})
 

@@ -8,20 +8,31 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from grabnet.cli.checks import Positive, Weight, in_range
+from grabnet.cli.checks import Batch, Positive, Weight, in_range
+from grabnet.cli.progress import track
 
+# What the numbers of a report are, kept beside them.
+DEFINITIONS = {
+    "candidate": "number of the candidate that was kept",
+    "nearest_mm": "mean distance of joints and fingertips to those of the most similar grasp kept before",
+    "score": "what is wrong with the grasp, counted in millimetres; candidates with less are kept: depth and through "
+    "beyond what skin yields, bone (object in the core of a finger), crossing (fingers in each other), joints (beyond "
+    "their limits), table (hand below it), unheld (thumb or fingers do not touch), force (share of the object's weight "
+    "that contacts cannot bear, from six directions), fingers (below 0, for those that touch)",
+}
 # A score that comes after all others.
 _LAST = 1e30
 
 
 @dataclass(frozen=True)
 class RankingConfig:
-    """How candidates are chosen; `ranking` in `configs/sample/sample.yaml` explains the values.
+    """How candidates are chosen; `configs/shared/ranking/default.yaml` explains the values.
 
     Raises:
         UserError: a value out of range.
     """
 
+    pool: Batch = 256
     variety: Weight = 10.0
     likeness: Positive = 0.02
     distinct: Weight = 0.005
@@ -32,6 +43,7 @@ class RankingConfig:
     bone: Weight = 10.0
     crossing: Weight = 1.0
     joint: Weight = 0.2
+    table: Weight = 2.0
     unheld: Weight = 20.0
     force: Weight = 20.0
     finger: Weight = 0.8
@@ -99,7 +111,8 @@ def choose(score: Tensor, keypoints: Tensor, pools: Tensor, config: RankingConfi
     score = torch.where(score.isfinite(), score.double(), _LAST)
     nearest = torch.full_like(score, torch.inf)
     index, apart = [], []
-    for pool in pools.tolist():
+    keypoints = keypoints.float()
+    for pool in track(pools.tolist(), "Choosing grasps"):
         alike = config.variety * (-(nearest[:pool] / config.likeness).square()).exp()
         best = int((score[:pool] + torch.where(nearest[:pool] < config.distinct, _LAST, alike)).argmin())
         index.append(best)

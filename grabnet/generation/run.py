@@ -77,6 +77,7 @@ def run(config: SamplingConfig) -> int:
                 max_size=config.max_size,
                 min_size=config.min_size,
                 contact_distance=config.contact_distance,
+                table=config.table,
                 cache_dir=config.cache_dir,
             )
             about = {"name": file.name, "mesh": str(file.resolve()), "mesh_sha256": sha256(file)}

@@ -1,7 +1,8 @@
-"""How good candidates are: what is wrong with each, in millimetres or what is as bad as so many."""
+"""How good candidates are: what is wrong with each, counted in millimetres."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -38,6 +39,9 @@ def judge(
     rest: Tensor,
     objects: PlacedObjects,
     config: RankingConfig,
+    forces: ForceConfig,
+    contact_distance: float,
+    floor: float | None = None,
 ) -> Judged:
     """Judge B right hands in the world of the objects; lower parts are better.
 
@@ -49,11 +53,14 @@ def judge(
         rest: (V, 3) rest vertices of the shape, metres.
         objects: B placed objects.
         config: weights.
+        forces: that contacts bear.
+        contact_distance: metres, below which a vertex touches.
+        floor: height of the table in the world, metres; None where there is none.
     """
     vertices, joints = hand(hands, rest)
     posed = interior.posed(vertices)
     screened = screen(held, interior, posed, hands.hand_pose, objects.surface)
-    contacts = Contacts(distances=screened.distances, finger=held.anatomy.finger)
+    contacts = Contacts(distances=screened.distances, finger=held.anatomy.finger, contact_distance=contact_distance)
     fingers = contacts.contact_vertices[:, : len(FINGERS)] > 0
     parts = {
         "depth": config.depth * (screened.depth_mm - config.depth_free).relu(),
@@ -62,15 +69,17 @@ def judge(
         "crossing": config.crossing * screened.crossing_mm,
         "joints": config.joint * screened.joint_excess_deg,
         "unheld": config.unheld * (~contacts.pinched).float(),
-        "force": config.force * _unmet(held, held.pose_of(hands), objects),
+        "force": config.force * _unmet(held, held.pose_of(hands), objects, forces),
         "fingers": -config.finger * fingers.sum(1).float(),
     }
+    if floor is not None:
+        parts["table"] = config.table * 1e3 * (floor - vertices[..., 2]).amax(1).relu()
     keypoints = torch.cat([joints, vertices[:, held.anatomy.tips]], 1)
     return Judged(parts, keypoints @ objects.rotations)
 
 
-def _unmet(held: GraspHand, pose: GraspPose, objects: PlacedObjects) -> Tensor:
+def _unmet(held: GraspHand, pose: GraspPose, objects: PlacedObjects, config: ForceConfig) -> Tensor:
     """(B,) share of the load that contacts cannot bear (`HeldForces`)."""
     pads = Seen.of(held, pose, objects.surface, _SOFTNESS).pads
-    forces = HeldForces(pose.wrist, len(held.pads), ForceConfig(iterations=_FORCE_STEPS))
+    forces = HeldForces(pose.wrist, len(held.pads), replace(config, iterations=_FORCE_STEPS))
     return forces.unmet(pads, pose.wrist.new_zeros(1, 3), solve=True)

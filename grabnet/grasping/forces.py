@@ -73,7 +73,7 @@ class HeldForces:
     def unmet(self, pads: Pads, centre: Tensor, solve: bool) -> Tensor:
         """(B,) mean over six directions of gravity of the squared share of the load that is left, plus the effort.
 
-        The forces are the minimiser of just that, so that its gradient is that at fixed forces (envelope theorem).
+        The forces nearly minimise just that, so that its gradient is that at fixed forces (envelope theorem).
 
         Args:
             centre: (B or 1, 3) metres, where gravity pulls.

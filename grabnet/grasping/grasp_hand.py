@@ -145,8 +145,7 @@ class GraspHand:
     def pose_of(self, parameters: HandParameters) -> GraspPose:
         """The poses nearest to parameters of the hand model: the inverse of `parameters`.
 
-        Angles are clamped to the anatomy's limits; turns about axes that a joint does not have are dropped.
+        Turns about axes that a joint does not have are dropped.
         """
         angles, _ = self.anatomy.angles(parameters.hand_pose)
-        angles = angles.clamp(*self.anatomy.angle_limits.T)
         return GraspPose(parameters.global_orient, parameters.transl + self.joints[0], angles)

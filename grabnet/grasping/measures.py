@@ -31,7 +31,7 @@ DEFINITIONS = {
     "beyond where one first enters the object: depth through walls, however thin",
     "pierced": "whether the object cuts the hand into more than one piece, slivers within 0.2 mm of it apart, or "
     "touches the lines along its bones",
-    "contact_area_cm2": "skin within 5 mm of the object's surface, in or out, that looks against it",
+    "skin_contact_cm2": "skin within 5 mm of the object's surface, in or out, that looks against it",
     "opposition": "minus the cosine between the object's normals under the thumb and under the finger or palm that "
     "opposes it best: 1 opposite, 0 at right angles or where one of them touches nothing, -1 side by side",
     "crossing_mm": "how far one finger is inside another, or in the palm beyond 2 mm",
@@ -44,13 +44,13 @@ class GraspMeasures:
     """Of N grasps, on the CPU; `DEFINITIONS` says what each is.
 
     Attributes:
-        through_mm, contact_area_cm2, opposition, crossing_mm, joint_excess_deg: (N,) finite.
+        through_mm, skin_contact_cm2, opposition, crossing_mm, joint_excess_deg: (N,) finite.
         pierced: (N,) bool.
     """
 
     through_mm: Tensor
     pierced: Tensor
-    contact_area_cm2: Tensor
+    skin_contact_cm2: Tensor
     opposition: Tensor
     crossing_mm: Tensor
     joint_excess_deg: Tensor
@@ -104,7 +104,7 @@ def measure_grasps(
     return GraspMeasures(
         through_mm=1e3 * lines.through.amax(1),
         pierced=pierced,
-        contact_area_cm2=1e4 * (areas * against).sum(1).float(),
+        skin_contact_cm2=1e4 * (areas * against).sum(1).float(),
         opposition=opposition(contacts.touching, normals, contacts.finger),
         crossing_mm=crossing(hand, interior.posed(vertices)).clamp_min(0),
         joint_excess_deg=excess.amax(1),

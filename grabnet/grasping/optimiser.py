@@ -48,22 +48,16 @@ class GraspOptimiser:
 
     Args:
         hand: the hand's shape.
-        likelihood: (V,) how often each vertex of the hand touches, in people's grasps, at most 1; pads count by it.
-            When omitted, fingertips count most.
+        config: weights, rates and what is ramped.
     """
 
-    def __init__(self, hand: GraspHand, config: OptimiserConfig, likelihood: Tensor | None = None):
+    def __init__(self, hand: GraspHand, config: OptimiserConfig):
         self.hand, self.config = hand, config
         self.limits = hand.anatomy.angle_limits.clone()
         knuckles = [name.endswith("mcp_flexion") for name in hand.anatomy.angle_names]
         self.limits[torch.tensor(knuckles, device=self.limits.device), 1] = config.knuckle_flexion
-        if likelihood is None:
-            share = {"1": config.phalanges, "2": config.phalanges, "3": 1.0}
-            weights = [share.get(name[-1], config.palm) for name in hand.pad_names]
-            self.pad_weight = hand.rest.new_tensor(weights)
-        else:
-            on_pads = likelihood.to(hand.rest)[hand.sample[hand.pads]] * hand.pad_mask
-            self.pad_weight = on_pads.sum(1) / hand.pad_mask.sum(1) / on_pads.max()
+        share = {"1": config.phalanges, "2": config.phalanges, "3": 1.0}
+        self.pad_weight = hand.rest.new_tensor([share.get(name[-1], config.palm) for name in hand.pad_names])
 
     @full_precision
     def __call__(
@@ -78,6 +72,7 @@ class GraspOptimiser:
         """
         if not (self.config.iterations and len(start.wrist)):
             return start
+        start = start._replace(angles=start.angles.clamp(*self.hand.anatomy.angle_limits.T))
         energy = HoldingEnergy(self.hand, self.config, self.pad_weight, start, surface, centre, floor)
         return descend(start, self.hand.anatomy.frame, energy, self.limits, self.config)
 

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from grabnet.contact.contacts import CONTACT_DISTANCE
 from grabnet.grasping.grasp_hand import GraspHand, Posed
 from grabnet.grasping.interior import Interior
 from grabnet.grasping.joints import beyond_limits
-from grabnet.grasping.opposition import opposition
 from grabnet.grasping.walls import crossing, depth_through_walls
 
 _CORE = 0.45  # of a finger's radius, within which its bone is
@@ -28,7 +26,7 @@ class Screening:
         depth_mm: of the deepest vertex in the object.
         through_mm: as `GraspMeasures` has it, as far as seven steps along each line show it.
         bone_mm: by how much the object is nearer to a bone than the core of a finger is thick; 0 where clear.
-        crossing_mm, joint_excess_deg, opposition: as `GraspMeasures` has them.
+        crossing_mm, joint_excess_deg: as `GraspMeasures` has them.
     """
 
     distances: Tensor
@@ -37,7 +35,6 @@ class Screening:
     bone_mm: Tensor
     crossing_mm: Tensor
     joint_excess_deg: Tensor
-    opposition: Tensor
 
 
 @torch.no_grad()
@@ -47,7 +44,6 @@ def screen(
     posed: Posed,
     hand_pose: Tensor,
     distance_and_normal: Callable[[Tensor], tuple[Tensor, Tensor]],
-    contact_distance: float = CONTACT_DISTANCE,
 ) -> Screening:
     """Measure candidates.
 
@@ -57,15 +53,13 @@ def screen(
         posed: N hands, metres.
         hand_pose: (N, 15, 3, 3) rotations of their joints.
         distance_and_normal: signed distances (N, P), metres, and outward normals (N, P, 3) of points (N, P, 3).
-        contact_distance: metres, below which a vertex touches.
     """
-    distances, normals = distance_and_normal(posed.vertices)
+    distances, _ = distance_and_normal(posed.vertices)
     start, end = interior.chain.T
     shares = posed.spheres.new_tensor(_SHARES).view(-1, 1, 1)
     bones = torch.lerp(posed.spheres[:, None, start], posed.spheres[:, None, end], shares)
     core = _CORE * torch.lerp(hand.radii[None, start], hand.radii[None, end], shares.squeeze(-1))
     to_bones = distance_and_normal(bones.flatten(1, 2))[0]
-    finger = hand.anatomy.finger
     through = depth_through_walls(lambda x: distance_and_normal(x)[0], hand, posed)
     return Screening(
         distances=distances,
@@ -74,5 +68,4 @@ def screen(
         bone_mm=1e3 * (core.flatten() - to_bones).amax(1).clamp_min(0),
         crossing_mm=crossing(hand, posed).clamp_min(0),
         joint_excess_deg=beyond_limits(hand.anatomy, hand_pose)[0].amax(1),
-        opposition=opposition(distances < contact_distance, normals, finger),
     )

@@ -15,12 +15,14 @@ def record(*touching: str, **measures: float) -> dict:
 @pytest.mark.parametrize(
     ("of", "words"),
     [
-        (record("thumb", "index", "ring", "palm"), "held by thumb + 2 fingers, 1.2 mm deep"),
+        (record("thumb", "index", "ring", "palm"), "held by thumb + 2 fingers + palm, 1.2 mm deep"),
         (record("thumb", "pinky", opposition=-0.4), "pushed by thumb + 1 finger, 1.2 mm deep"),
         (record("thumb", "index", through_mm=8.3), "held by thumb + 1 finger, 1.2 mm deep, 8 mm through a wall"),
         (record("thumb", "index", through_mm=8.3, pierced=True), "thumb + 1 finger, 8 mm through the object"),
-        (record("index", "middle", max_penetration_mm=0.0), "2 fingers, no thumb, 0.0 mm deep"),
+        (record("index", "middle", max_penetration_mm=0.0), "only 2 fingers touch, 0.0 mm deep"),
         (record("thumb"), "only the thumb touches, 1.2 mm deep"),
+        (record("thumb", "palm"), "held by thumb + palm, 1.2 mm deep"),
+        (record("index", pierced=True, through_mm=0.3), "only 1 finger touches, through the object"),
         (record("palm"), "only the palm touches, 1.2 mm deep"),
         (record(max_penetration_mm=0.0, through_mm=0.0), "nothing touches, 0.0 mm deep"),
     ],

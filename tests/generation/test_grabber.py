@@ -12,6 +12,7 @@ from grabnet.body.anatomy import FINGERS
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
 from grabnet.generation.grabber import Grabber
+from grabnet.generation.ranking import RankingConfig
 from grabnet.geometry.mesh import Mesh
 from grabnet.models.grabnet import GrabNet
 from grabnet.models.trained import OPEN_GRABBER
@@ -288,7 +289,7 @@ def test_grasps_do_not_depend_on_where_the_vertices_crowd(grabber, cache_dir):
 @pytest.fixture(scope="module")
 def choosy(grabber) -> Grabber:
     """Optimises shortly, and chooses among three for each grasp."""
-    return grabber.changed(optimise=8, candidates=3)
+    return grabber.changed(optimise=8, candidates=3, ranking=RankingConfig(pool=16))
 
 
 @pytest.fixture(scope="module")
@@ -350,10 +351,10 @@ def test_the_programs_default_dtype_is_of_no_influence(grabber, block, grasps, c
     torch.set_default_dtype(torch.float64)
     try:
         networks = {kind: Grabber.from_pretrained().weights[kind].name for kind in ("CoarseNet", "RefineNet")}
-        again = grabber.changed(optimise=4, candidates=2)(block, 2, cache_dir=cache_dir)
+        again = grabber.changed(optimise=4, candidates=2, ranking=RankingConfig(pool=16))(block, 2, cache_dir=cache_dir)
         assert torch.get_default_dtype() == torch.float64
     finally:
         torch.set_default_dtype(torch.float32)
     assert set(networks.values()) == {FILE_NAME}
-    plain = grabber.changed(optimise=4, candidates=2)(block, 2, cache_dir=cache_dir)
+    plain = grabber.changed(optimise=4, candidates=2, ranking=RankingConfig(pool=16))(block, 2, cache_dir=cache_dir)
     torch.testing.assert_close(again.vertices, plain.vertices, rtol=0, atol=0)

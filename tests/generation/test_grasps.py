@@ -33,7 +33,7 @@ def made_of(distances: torch.Tensor, finger: torch.Tensor, to_object: np.ndarray
         measures=GraspMeasures(
             through_mm=torch.linspace(0, 12, n),
             pierced=torch.arange(n) % 2 == 1,
-            contact_area_cm2=torch.full((n,), 20.0),
+            skin_contact_cm2=torch.full((n,), 20.0),
             opposition=torch.ones(n),
             crossing_mm=torch.zeros(n),
             joint_excess_deg=torch.arange(n).float(),

@@ -61,7 +61,7 @@ def test_pressing_on_a_plate_is_no_piercing(model, hand):
     found = measured(hand, model.faces, mesh, vertices, pose.angles)
     assert not found.pierced[0]
     assert 0.7 < found.through_mm[0] < 3
-    assert found.contact_area_cm2[0] > 1
+    assert found.skin_contact_cm2[0] > 1
     assert found.opposition[0] <= 0  # all from one side
     assert found.joint_excess_deg[0] == found.crossing_mm[0] == 0
 
@@ -99,10 +99,10 @@ def test_a_mirrored_grasp_measures_the_same(model, hand, held):
     as_it_is = measured(hand, model.faces, mesh, vertices, pose.angles)
     in_mirror = vertices * torch.tensor([-1.0, 1, 1])
     other = measured(hand, model.faces.flip(1), mirrored(mesh), in_mirror, pose.angles)
-    assert as_it_is.pierced.any() and as_it_is.contact_area_cm2.any()
+    assert as_it_is.pierced.any() and as_it_is.skin_contact_cm2.any()
     for one, two in zip(as_it_is.report(), other.report(), strict=True):
         # At a sharp rim either of two faces may be the nearest.
-        assert one.pop("contact_area_cm2") == pytest.approx(two.pop("contact_area_cm2"), rel=0.05)
+        assert one.pop("skin_contact_cm2") == pytest.approx(two.pop("skin_contact_cm2"), rel=0.05)
         assert one.pop("opposition") == pytest.approx(two.pop("opposition"), abs=0.05)
         assert one == pytest.approx(two, abs=2e-3)
 

@@ -108,14 +108,6 @@ def test_a_table_stays_under_the_hand(hand):
     assert (states(hand, above, look)[1][:, 1:].amin(1) < 2).all()
 
 
-def test_vertices_that_seldom_touch_pull_less(hand):
-    likelihood = torch.zeros(len(hand.rest))
-    likelihood[hand.anatomy.pads["index3"]] = 1
-    weight = GraspOptimiser(hand, CONFIG, likelihood).pad_weight
-    assert weight[hand.pad_names.index("index3")] == 1
-    assert weight[hand.pad_names.index("ring1")] == 0
-
-
 def test_how_the_model_lies_in_its_coordinates_does_not_matter(hand, turned):
     start, middle = around(hand, n=4)
     other, rotation = turned

@@ -77,5 +77,5 @@ class Volco(PerGrasp):
             "volume": 1e6 * scene.shared_volume(_SPACING),
             "contact_area": np.array(areas),
             "contact": (nearest < REACH).astype(float),
-            "pierce_free": (pieces_of(scene, self.interior) < 2).astype(float),
+            "pierce_free": (pieces_of(scene, self.interior) == 1).astype(float),
         }

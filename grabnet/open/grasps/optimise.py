@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from grabnet.grasping.descent import DescentConfig, descend
+from grabnet.cli.checks import Count, Positive, Weight
+from grabnet.grasping.descent import DescentConfig, Fading, descend
 from grabnet.grasping.grasp_hand import GraspHand, GraspPose
 from grabnet.grasping.proposing.grasped_object import GraspedObject
 from grabnet.grasping.proposing.posture import PostureConfig
@@ -19,14 +20,14 @@ from grabnet.open.grasps.energy import EnergyConfig, SynthesisEnergy
 class SynthesisDescentConfig(DescentConfig):
     """Descent (ref. 15), and how far postures differ from the templates."""
 
-    iterations: int = 70
-    rotation_rate: float = 0.035
-    angle_rate: float = 0.035
-    memory: float = 0.98
-    softness: tuple[float, float] = (8.0, 1.5)
-    firmness: tuple[float, float] = (0.35, 1.45)
-    variety: float = 0.16  # radians by which each grasp's prior posture is off its template
-    spread_variety: float = 0.04  # the same for abduction
+    iterations: Count = 70
+    rotation_rate: Positive = 0.035
+    angle_rate: Positive = 0.035
+    memory: Fading = 0.98
+    softness: tuple[Positive, Positive] = (8.0, 1.5)
+    firmness: tuple[Positive, Positive] = (0.35, 1.45)
+    variety: Weight = 0.16  # radians by which each grasp's prior posture is off its template
+    spread_variety: Weight = 0.04  # the same for abduction
 
 
 def optimise(
