@@ -140,7 +140,7 @@ def twisted_ring() -> tuple[Mesh, np.ndarray]:
 
 def open_bowl() -> tuple[Mesh, np.ndarray]:
     """A zone of a ball, open above and below."""
-    around, down = np.meshgrid(2 * np.pi * np.arange(24) / 24, np.linspace(np.pi / 2, 2.9, 8), indexing="ij")
+    around, down = np.meshgrid(2 * np.pi * np.arange(24) / 24, np.linspace(2.9, np.pi / 2, 8), indexing="ij")
     corners = np.stack([np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), np.cos(down)], -1)
     return cells(0.04 * corners, closed=False)
 
