@@ -214,8 +214,11 @@ def write_sequence(path: str | Path, sequence: Sequence) -> None:
         np.savez_compressed(temporary, **arrays)
 
 
-def load_below(root: str | Path, relative: str) -> Mesh:
+def load_below(root: str | Path, relative: str, mend: bool = True) -> Mesh:
     """A template or mesh that a sequence names, its vertices as numbered in the file.
+
+    Args:
+        mend: as of `read_mesh`; False for templates, of which only the vertices count.
 
     Raises:
         UserError: it lies outside `root`, links included, or is unreadable.
@@ -223,7 +226,7 @@ def load_below(root: str | Path, relative: str) -> Mesh:
     path, root = Path(root) / _inside(relative, "The path of a mesh"), Path(root).resolve()
     if not path.resolve().is_relative_to(root):
         raise UserError(f"{relative} leads out of {root}, which is not followed: put the file itself there.")
-    return load_mesh(path, weld=False)
+    return load_mesh(path, weld=False, mend=mend)
 
 
 def _read_track(path: Path, name: str, content: Any, n_frames: int, n_comps: int) -> Any:

@@ -26,8 +26,8 @@ from grabnet.errors import UserError
 from grabnet.evaluation.cache import Cache
 from grabnet.evaluation.hands import Hands
 from grabnet.generation.grabber import Grabber
-from grabnet.geometry.mesh import Mesh, load_mesh
-from grabnet.geometry.openings import boundary_loops, close
+from grabnet.geometry.mesh import Mesh, load_mesh, read_mesh
+from grabnet.geometry.openings import boundary_loops
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.io.files import existing, sha256
 from grabnet.io.names import originals
@@ -93,18 +93,16 @@ def _meshed(place: Path, n: int) -> tuple[Hands, list[Path]]:
     files = [p for p in originals(place.iterdir(), place) if p.suffix.lower() in MESH_SUFFIXES and p.is_file()][:n]
     if not files:
         raise UserError(f"{place} holds neither {GRASPS} nor hand meshes ({', '.join(MESH_SUFFIXES)}).")
-    meshes = [load_mesh(f, weld=False) for f in files]
+    meshes = [read_mesh(f, weld=False, mend=False) for f in files]
     for path, mesh in zip(files, meshes, strict=True):
         if mesh.vertices.shape != meshes[0].vertices.shape or not np.array_equal(mesh.faces, meshes[0].faces):
             raise UserError(f"{path} has other vertices or faces than {files[0]}: all hands must share one topology.")
+    faces = load_mesh(files[0], weld=False).faces
     try:
-        boundary_loops(meshes[0].faces)
+        boundary_loops(faces)
     except ValueError as error:
         raise UserError(f"{files[0]} cannot be closed at the wrist: {error}.") from None
-    vertices, faces = np.stack([m.vertices for m in meshes]), meshes[0].faces.astype(np.int64)
-    closed = Mesh(*(x[0] if x.ndim == 3 else x for x in close(vertices[:1], faces)))
-    # Some write faces clockwise; what is measured of hands takes them to look outwards.
-    return Hands(vertices=vertices, faces=faces if closed.volume >= 0 else faces[:, ::-1].copy()), files
+    return Hands(vertices=np.stack([m.vertices for m in meshes]), faces=faces.astype(np.int64)), files
 
 
 def _check_hands(vertices: np.ndarray, sources: Sequence[Path], mesh: Mesh, file: Path) -> None:

@@ -131,23 +131,24 @@ def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return areas
 
 
-def load_mesh(path: str | Path, weld: bool = True) -> Mesh:
+def load_mesh(path: str | Path, weld: bool = True, mend: bool = True) -> Mesh:
     """Read a mesh as `read_mesh` does, with a warning that says what was mended."""
-    mesh = read_mesh(path, weld)
+    mesh = read_mesh(path, weld, mend)
     if mesh.repairs:
         warnings.warn(f"{path} was mended: {'; '.join(mesh.repairs)}.", stacklevel=2)
     return mesh
 
 
-def read_mesh(path: str | Path, weld: bool = True) -> Mesh:
+def read_mesh(path: str | Path, weld: bool = True, mend: bool = True) -> Mesh:
     """Read an obj, ply, stl, off, glb or gltf file, in the file's own frame and units (see `load_object`).
 
     Scenes are flattened with their transforms. Only geometry is read: no materials, nothing outside the file's folder.
 
     Args:
         weld: merge exactly equal vertices (STL stores each face's corners by themselves) and drop those that no face
-            uses, in file order otherwise; mend faces that disagree on which side is inside (`with_sides`). Pass False
-            where other data counts on the file's vertex numbers, or faces are compared.
+            uses, in file order otherwise. Pass False where other data counts on the file's vertex numbers.
+        mend: make faces agree on which side is inside (`with_sides`). Pass False where only vertices count, or faces
+            are compared.
 
     Raises:
         UserError: missing, of an unknown or wrong format, unreadable, no faces, not finite, no area, too many faces,
@@ -162,7 +163,7 @@ def read_mesh(path: str | Path, weld: bool = True) -> Mesh:
         raise UserError(
             f"{path} has zero area: its {len(faces)} faces are all lines or points; export a solid surface."
         )
-    return with_sides(mesh, path) if weld else mesh
+    return with_sides(mesh, path) if mend else mesh
 
 
 def with_sides(mesh: Mesh, name: str | Path) -> Mesh:

@@ -22,7 +22,7 @@ from grabnet.contact.sequences import annotate, posed
 from grabnet.data.objects import OBJECT_MESHES, object_files
 from grabnet.data.sequences import Sequence, load_below, read_sequence
 from grabnet.errors import UserError
-from grabnet.geometry.mesh import Mesh, load_mesh
+from grabnet.geometry.mesh import Mesh, read_mesh
 from grabnet.io.files import existing, sha256
 from grabnet.io.names import originals
 from grabnet.preprocess.grasp_track import GraspTrack
@@ -190,12 +190,12 @@ class GrabRecordings(RecordingSource):
             raise UserError(f"{path} labels {n} vertices of an object that has {len(mesh.vertices)} in {mesh_file}.")
         overlaps = None
         if self.contact == "recompute":
-            sequence, overlaps = self._annotated(sequence, mesh, files.mesh(sequence.body.vtemp))
-        centroid = files.mesh(mesh_file, weld=True).centroid  # as training has it
+            sequence, overlaps = self._annotated(sequence, mesh, files.unmended(sequence.body.vtemp))
+        centroid = files.centroid(mesh_file)
         return GrabRecording(sequence, mesh, centroid, self._n_vertices, files, overlaps)
 
     def rest(self, template: str) -> Tensor:
-        return torch.tensor(load_below(self.folder, template).vertices)
+        return torch.tensor(load_below(self.folder, template, mend=False).vertices)
 
     @cached_property
     def _objects(self) -> dict[str, Path]:
@@ -276,7 +276,7 @@ class GrabRecording(Recording):
         self._files = files
         self._overlaps = overlaps
         # Of use at the end only, but missing it, or another hand's, is a fault of this recording.
-        if (n := len(files.mesh(sequence.rhand.vtemp).vertices)) != n_vertices:
+        if (n := len(files.unmended(sequence.rhand.vtemp).vertices)) != n_vertices:
             raise UserError(f"{sequence.rhand.vtemp} has {n} vertices, the hand model {n_vertices}.")
 
     @property
@@ -284,12 +284,12 @@ class GrabRecording(Recording):
         return self._files.sha256
 
     def left_mirrored(self) -> GraspTrack:
-        self._files.mesh(self._sequence.lhand.vtemp)  # as above
+        self._files.unmended(self._sequence.lhand.vtemp)  # as above
         return GraspTrack.left_mirrored(self._sequence)
 
     def gap_to_table(self) -> np.ndarray:
         table = self._sequence.table
-        return gap_to_table(self._sequence.object, self._mesh, table, self._files.mesh(table.mesh))
+        return gap_to_table(self._sequence.object, self._mesh, table, self._files.unmended(table.mesh))
 
     def counts(self) -> dict[str, Any]:
         contact = {"contact": contact_counts(self._sequence)}
@@ -308,15 +308,30 @@ class _Files:
         self.sha256[relative] = sha256(path)
         return path
 
-    def mesh(self, relative: str, weld: bool = False) -> Mesh:
-        """A mesh; the latest ones are kept, as long as their files stay what they were."""
+    def mesh(self, relative: str) -> Mesh:
+        """A mesh of known sides, its vertices as numbered; the latest are kept, as long as their files stay as is."""
         self.used(relative)
-        return _mesh(self.root, relative, weld, self.sha256[relative])
+        return _mesh(self.root, relative, True, self.sha256[relative])
+
+    def unmended(self, relative: str) -> Mesh:
+        """A mesh of which only the vertices count; kept likewise."""
+        self.used(relative)
+        return _mesh(self.root, relative, False, self.sha256[relative])
+
+    def centroid(self, relative: str) -> np.ndarray:
+        """(3,) of a mesh as training reads it, welded."""
+        self.used(relative)
+        return _centroid(self.root / relative, self.sha256[relative])
 
 
 @lru_cache(maxsize=32)
-def _mesh(root: Path, relative: str, weld: bool, sha256: str) -> Mesh:
-    return load_mesh(root / relative) if weld else load_below(root, relative)
+def _mesh(root: Path, relative: str, mend: bool, sha256: str) -> Mesh:
+    return load_below(root, relative, mend)
+
+
+@lru_cache(maxsize=32)
+def _centroid(path: Path, sha256: str) -> np.ndarray:
+    return read_mesh(path, mend=False).centroid
 
 
 @lru_cache(maxsize=4)

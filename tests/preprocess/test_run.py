@@ -20,15 +20,19 @@ from hydra.utils import instantiate
 
 from grabnet.body.hand import HandModel
 from grabnet.cli.entry import compose
+from grabnet.contact.rules import ContactRules
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.data.frames import FramesStore, shard_names, write_shard
+from grabnet.data.objects import OBJECT_MESHES, ObjectSet
 from grabnet.data.sequences import read_sequence, write_sequence
 from grabnet.data.splits import Split
 from grabnet.errors import UserError
+from grabnet.geometry.mesh import Mesh, read_mesh, save_mesh
 from grabnet.io.locks import LOCK
 from grabnet.io.npz import read_npz
 from grabnet.preprocess.filtering import Waterfall
 from grabnet.preprocess.pictures import draw_waterfall
+from grabnet.preprocess.recordings import GrabRecordings
 from grabnet.preprocess.run import run
 from grabnet.training.run import train
 from tests.data.test_frames import shard_values
@@ -383,3 +387,25 @@ def test_missing_models_are_named_where_they_are_needed(grab, tmp_path, cache_di
     with pytest.raises(UserError, match="holds neither SMPLX_FEMALE nor smplx/SMPLX_FEMALE"):
         make(here, tmp_path / "data", cache_dir, "data.contact=recompute")
     assert make(here, tmp_path / "data", cache_dir) == {}
+
+
+def test_objects_whose_faces_disagree_are_mended_with_their_vertices_in_order(made, own_grab, tmp_path, cache_dir):
+    """Labels found, and distances in training, are those of the sound mesh."""
+    name = next(name for name in SEQUENCES if "/ball" in name)
+    recordings = GrabRecordings(*map(str, own_grab), "recompute", 0.0045, 3, ContactRules())
+    sound = recordings.read(name).right.labels
+    shutil.copytree(made, tmp_path / "made")
+    for file in (root / OBJECT_MESHES / "ball.ply" for root in (own_grab[0], tmp_path / "made")):
+        mesh = read_mesh(file, weld=False)
+        turned = mesh.faces[:, ::-1]
+        save_mesh(file, Mesh(mesh.vertices, np.where(mesh.faces[:, :1] % 2, mesh.faces, turned)))
+    with pytest.warns(UserWarning, match=r"ball\.ply was mended: turned [\d,]+ of 5,120 faces"):
+        found = recordings.read(name).right.labels
+    assert found.any()
+    np.testing.assert_array_equal(found, sound)
+    with pytest.warns(UserWarning, match=r"ball\.ply was mended: turned [\d,]+ of 5,120 faces"):
+        objects = ObjectSet.load(tmp_path / "made" / OBJECT_MESHES, ["ball"], cache_dir=cache_dir)
+    radii = torch.tensor([0.5, 0.9, 1.1, 2.0]) * grip()[1]
+    points = torch.nn.functional.normalize(torch.tensor([[1.0, 2, 3]])) * radii[:, None]
+    expected = radii - grip()[1]
+    torch.testing.assert_close(objects.atlas(points[None], torch.tensor([0]))[0], expected, atol=1e-3, rtol=0)

@@ -40,7 +40,7 @@ def mended(vertices: np.ndarray, faces: np.ndarray) -> Mended:
     corners = vertices[faces[sound]].astype(np.float64)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-300)
-    kept, fins = without_doubles(by_place[sound], normals)
+    kept, fins = without_doubles(by_place[sound], corners, normals)
     single = sound[kept & ~fins]
     turned = np.zeros(len(faces), bool)
     turned[single] = wrong_way(vertices, faces[single], by_place[single])

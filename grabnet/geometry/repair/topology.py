@@ -48,8 +48,12 @@ class Edges(NamedTuple):
         links = coo_matrix((np.ones(len(self.number), bool), (self.faces, n_faces + self.number)), (size, size))
         return connected_components(links, directed=False)[1][:n_faces]
 
+    def sides(self) -> np.ndarray:
+        """(P, 2) sides that run along one edge, no third one there."""
+        order = np.argsort(self.number, kind="stable")
+        return order[self.uses[self.number[order]] == 2].reshape(-1, 2)
+
     def pairs(self) -> tuple[np.ndarray, np.ndarray]:
         """(P, 2) faces that meet at an edge, no third one there, and (P,) whether they run along it opposite ways."""
-        order = np.argsort(self.number, kind="stable")
-        sides = order[self.uses[self.number[order]] == 2].reshape(-1, 2)
+        sides = self.sides()
         return self.faces[sides], self.forward[sides[:, 0]] != self.forward[sides[:, 1]]

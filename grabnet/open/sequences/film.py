@@ -48,7 +48,7 @@ def save_strip(path: Path, files: Sequence[Path], root: Path, n: int = 8, size: 
 def draw(file: Path, root: Path, body: BodyModel, frames: np.ndarray, size: tuple[int, int]) -> list[np.ndarray]:
     """uint8 pictures of chosen frames, from one side for all of them."""
     sequence = read_sequence(file)
-    v_template = torch.tensor(load_below(root, sequence.body.vtemp).vertices)
+    v_template = torch.tensor(load_below(root, sequence.body.vtemp, mend=False).vertices)
     people = body(sequence.body.parameters(frames), v_template).vertices
     room = sequence.table.rotations(slice(0, 1))[0].numpy()
     moved = []

@@ -115,6 +115,87 @@ def test_what_was_broken_has_its_inside_again(name, fault):
     assert_same_inside(mesh, sound)
 
 
+def two_layers(corners: np.ndarray, quads: np.ndarray) -> tuple[Mesh, np.ndarray]:
+    """A surface of quads (Q, 4), and the faces of its back, which cut the quads along their other diagonals."""
+    front, back = (quads[:, order].reshape(-1, 3) for order in ([0, 1, 2, 0, 2, 3], [0, 3, 1, 1, 3, 2]))
+    return Mesh(corners, front), back
+
+
+def cells(corners: np.ndarray, closed: bool) -> tuple[Mesh, np.ndarray]:
+    """Likewise over a grid of corners (N, M, 3), closed along the first axis and, if so said, the second."""
+    number = np.arange(corners[..., 0].size).reshape(corners.shape[:2])
+    a, d = (number if closed else number[:, :-1], np.roll(number, -1, 1) if closed else number[:, 1:])
+    b, c = np.roll(a, -1, 0), np.roll(d, -1, 0)
+    return two_layers(corners.reshape(-1, 3), np.stack([a, b, c, d], -1).reshape(-1, 4))
+
+
+def twisted_ring() -> tuple[Mesh, np.ndarray]:
+    """No cell is flat."""
+    i, j = np.meshgrid(np.arange(32), np.arange(12), indexing="ij")
+    around, across = 2 * np.pi * i / 32 + 0.1 * np.minimum(j, 12 - j), 2 * np.pi * j / 12
+    radius = 0.04 + 0.012 * np.cos(across)
+    corners = np.stack([radius * np.cos(around), radius * np.sin(around), 0.012 * np.sin(across)], -1)
+    return cells(corners, closed=True)
+
+
+def open_bowl() -> tuple[Mesh, np.ndarray]:
+    """A zone of a ball, open above and below."""
+    around, down = np.meshgrid(2 * np.pi * np.arange(24) / 24, np.linspace(2.9, np.pi / 2, 8), indexing="ij")
+    corners = np.stack([np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), np.cos(down)], -1)
+    return cells(0.04 * corners, closed=False)
+
+
+def box_cells() -> tuple[Mesh, np.ndarray]:
+    """300 cm³."""
+    corners = np.array([[x, y, z] for x in (0, 0.05) for y in (0, 0.06) for z in (0, 0.1)])
+    return two_layers(corners, np.array(
+        [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    ))  # fmt: skip
+
+
+@pytest.mark.parametrize("make", [box_cells, twisted_ring, open_bowl])
+@pytest.mark.parametrize("fault", ["back", "again", "partly", "flipped", "back first"])
+def test_a_second_layer_of_other_diagonals_is_dropped(make, fault):
+    sound, back = make()
+    rng = np.random.default_rng(0)
+    faces = np.concatenate([sound.faces, back])
+    if fault == "again":
+        faces = np.concatenate([sound.faces, back[:, ::-1]])
+    if fault == "partly":
+        faces = np.concatenate([sound.faces, back.reshape(-1, 2, 3)[:3].reshape(-1, 3)])
+    if fault == "flipped":
+        faces = rng.permutation(np.where(rng.random((len(faces), 1)) < 0.5, faces, faces[:, ::-1]))
+    if fault == "back first":
+        faces = np.concatenate([back, sound.faces])
+    mesh = with_sides(Mesh(sound.vertices, faces), "it")
+    assert len(mesh.faces) == len(sound.faces) and mesh.is_closed == sound.is_closed
+    assert (
+        mesh.repairs[0] == f"dropped {len(faces) - len(sound.faces):,} of {len(faces):,} faces, which were there twice"
+    )
+    # Where cells are not flat it is either way of cutting them, or some of each.
+    assert mesh.volume == pytest.approx(sound.volume, rel=0.02 if make is twisted_ring else 1e-6)
+
+
+@pytest.mark.parametrize("first", ["fine", "coarse"])
+def test_a_second_layer_of_finer_faces_is_dropped(first):
+    box, _ = box_cells()
+    fine = box.subdivided()
+    two = (fine, turned(box)) if first == "fine" else (box, turned(fine))
+    beside = tuple(Mesh(mesh.vertices + np.float32(0.25), mesh.faces) for mesh in two)
+    assert with_sides(joined(*two), "it").volume == pytest.approx(3e-4, rel=1e-6)
+    assert with_sides(joined(*two, *beside), "it").volume == pytest.approx(6e-4, rel=1e-5)
+
+
+def test_parts_that_share_a_wall_stay():
+    """However it is cut, and beside an open part."""
+    box, back = box_cells()
+    other = Mesh(box.vertices + np.float32([0.05, 0, 0]), box.faces)
+    otherwise = Mesh(other.vertices, back[:, ::-1])
+    for parts in ((box, other), (box, otherwise), (box, otherwise, tube())):
+        mesh = joined(*parts)
+        assert with_sides(mesh, "it") is mesh
+
+
 def test_a_part_inside_out_beside_a_sound_one():
     one, other = block(0.03, 0.03, 0.03, shift=(0.05, 0, 0)), block(0.04, 0.05, 0.06)
     mesh = with_sides(joined(turned(one), other), "it")
