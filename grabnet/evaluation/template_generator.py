@@ -69,4 +69,5 @@ class TemplateGenerator(GraspGenerator):
 def _templates(hand: HandModel) -> tuple[GraspHand, dict[str, Template]]:
     """The mean hand, and templates for it; several seconds."""
     held = GraspHand(hand, Anatomy.of(hand), hand.shapedirs.new_zeros(hand.shapedirs.shape[-1]))
-    return held, build_templates(held, natural_limits(held.anatomy, TemplateConfig()))
+    with torch.enable_grad():  # they are optimised, when first asked for within a draw
+        return held, build_templates(held, natural_limits(held.anatomy, TemplateConfig()))

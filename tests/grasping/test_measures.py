@@ -132,7 +132,6 @@ def test_screening_finds_nearly_the_same(model, hand, held, tmp_path):
     torch.testing.assert_close(found.crossing_mm, exact.crossing_mm)
     torch.testing.assert_close(found.joint_excess_deg, exact.joint_excess_deg)
     assert (found.through_mm <= exact.through_mm + 0.5).all()  # it looks at seven places of each line
-    assert (found.opposition - exact.opposition).abs().median() < 0.1
     assert (found.bone_mm[exact.pierced] > 0).float().mean() >= 0.5
     assert (found.depth_mm >= 0).all() and torch.isfinite(found.bone_mm).all()
 
