@@ -36,7 +36,7 @@ def run(config: EvaluationConfig) -> int:
         UserError: data, networks or grasps that are missing or do not fit.
     """
     output = Path(config.output).expanduser()
-    clear_litter(output, "*.*", "contact/*/*.*")
+    clear_litter(output, "*.*", "*/*/*.*")
     torch.set_num_threads(torch.get_num_threads())  # said explicitly, MKL keeps to it: sums in the same order each time
     inputs = EvaluationInputs(config)
     protocols = protocols_of(inputs)

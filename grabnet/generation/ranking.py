@@ -33,19 +33,19 @@ class RankingConfig:
     """
 
     pool: Batch = 256
-    variety: Weight = 10.0
+    variety: Weight = 5.0
     likeness: Positive = 0.02
     distinct: Weight = 0.005
     depth: Weight = 1.0
     depth_free: Weight = 1.0
-    through: Weight = 2.0
+    through: Weight = 4.0
     through_free: Weight = 2.0
     bone: Weight = 10.0
     crossing: Weight = 1.0
     joint: Weight = 0.2
     table: Weight = 2.0
     unheld: Weight = 20.0
-    force: Weight = 20.0
+    force: Weight = 40.0
     finger: Weight = 0.8
 
     def __post_init__(self):

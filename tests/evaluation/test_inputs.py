@@ -20,6 +20,8 @@ def test_held_out_people_are_compared_with_their_own_grasps(tiny_dataset, cache_
         f"cache_dir={cache_dir}",
         f"data.cache_dir={cache_dir}",
         "models=[]",
+        "optimise=0",
+        "candidates=1",
     ]
     inputs = EvaluationInputs(instantiate(compose("evaluate", values), _convert_="object"))
     store = inputs.store

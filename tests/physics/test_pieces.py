@@ -127,7 +127,7 @@ def test_a_sheet_gets_thin_pieces_and_what_is_out_of_range_is_refused():
     corners = np.concatenate(decomposed(sheet, CONFIG))
     np.testing.assert_allclose(np.ptp(corners, axis=0)[:2], 0.1, atol=0.01)
     assert 0 < np.ptp(corners[:, 2]) < 0.015
-    with pytest.raises(UserError, match="concavity=0"):
+    with pytest.raises(UserError, match="concavity is 0"):
         DecompositionConfig(**(vars(CONFIG) | {"concavity": 0.0}))
 
 
