@@ -33,7 +33,7 @@ class RankingConfig:
     """
 
     pool: Batch = 256
-    variety: Weight = 5.0
+    variety: Weight = 3.0
     likeness: Positive = 0.02
     distinct: Weight = 0.005
     depth: Weight = 1.0
