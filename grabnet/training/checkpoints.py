@@ -44,8 +44,9 @@ class AtomicCheckpointIO(TorchCheckpointIO):
 
 
 def read_checkpoint(path: str | Path) -> dict[str, Any]:
-    """The content of a checkpoint, on the CPU; tensors and plain containers only. Weights of a run that diverged are not
-    finite; it says so when it ends.
+    """The content of a checkpoint, on the CPU; tensors and plain containers only.
+
+    Weights of a run that diverged are not finite; the run says so when it ends.
 
     Raises:
         UserError: damaged, or holding other objects.
