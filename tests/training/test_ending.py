@@ -137,7 +137,6 @@ def test_a_lifeline_hears_and_notices_the_end():
 
 
 def test_wandb_goes_on_with_the_same_run(tmp_path):
-    pytest.importorskip("wandb")
     first, again, anew = (wandb_logger(str(tmp_path), resume, offline=True) for resume in (True, True, False))
     assert first.version == again.version == first._wandb_init["id"] != anew.version
     assert (tmp_path / ID).read_text() == anew.version
