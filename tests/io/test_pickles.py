@@ -111,6 +111,19 @@ def test_chumpy_arrays_become_plain_ones(chumpy, protocol):
     np.testing.assert_array_equal(decoded["flat"], x.ravel()[chosen].reshape(-1, 6))
 
 
+def test_arrays_of_no_bytes_and_many_rows_are_refused_however_they_are_shaped(chumpy):
+    none, shape = np.zeros(0), (10**12, 0)
+    matrix = scipy.sparse.csc_matrix((0, 0))
+    matrix._shape = shape
+    values = [chumpy.Reshape(a=none, newshape=shape), matrix]
+    values += [chumpy.Select(a=none, idxs=np.zeros(0, int), preferred_shape=shape)]
+    written = [pickle.dumps(value) for value in values]
+    chumpy.write(None, 2)
+    for data in written:
+        with pytest.raises(UserError, match="an array of 1000000000000×0 values"):
+            decode_pickle(data, "file")
+
+
 @pytest.mark.parametrize("protocol", [0, 2, 5])
 @pytest.mark.parametrize("kind", ["csc", "csr"])
 def test_sparse_matrices_become_dense(kind, protocol):
