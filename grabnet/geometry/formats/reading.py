@@ -24,6 +24,8 @@ _READERS: dict[str, Callable[[bytes], Geometry]] = {".obj": obj.read, ".ply": pl
 _READERS |= {".off": off.read}
 SUFFIXES = (*_READERS, ".glb", ".gltf")
 
+# Of an address; a single letter is a drive.
+_SCHEME = re.compile(r"[a-zA-Z][a-zA-Z\d+.-]+:(?=//?)")
 _OBJ_LINES = re.compile(rb"^[ \t]*(v|f)[ \t]+[-+.\d]", re.MULTILINE)
 # Content that tells its format; the first that fits counts.
 _LOOKS_LIKE: dict[str, Callable[[bytes], object]] = {
@@ -72,6 +74,8 @@ def read_geometry(path: Path) -> Geometry:
 def _buffer(path: Path, uri: str) -> bytes:
     """Bytes of a file that a glTF refers to; only files in its own folder or below are touched."""
     folder = path.parent.resolve()
+    if scheme := _SCHEME.match(uri):
+        raise FormatError(f"it refers to {uri[:60]!r}, and {scheme[0]} addresses are not read: save it as .glb")
     try:
         if not uri.isprintable():
             raise ValueError
