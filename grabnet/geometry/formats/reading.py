@@ -52,13 +52,13 @@ def read_geometry(path: Path) -> Geometry:
     data = _bytes(path, str(path))
     if not data.strip():
         raise UserError(f"{path} is empty.")
-    looks_like = next((name for name, test in _LOOKS_LIKE.items() if test(data)), None)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused with the mesh
             geometry = _READERS[suffix](data) if suffix in _READERS else gltf.read(data, lambda uri: _buffer(path, uri))
     except (UserError, MemoryError):
         raise
     except Exception as error:  # a broken file can fail anywhere in a parser: all of it means unreadable
+        looks_like = next((name for name, test in _LOOKS_LIKE.items() if test(data)), None)
         if looks_like not in (None, suffix) and not {looks_like, suffix} <= {".glb", ".gltf"}:
             raise UserError(
                 f"{path} does not hold what its extension {suffix} says: it looks like {looks_like}, rename it."
