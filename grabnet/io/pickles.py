@@ -120,7 +120,7 @@ class _Decoder:
             unpickling.Dtype: self._dtype,
             unpickling.Ch: lambda v: self._number_array(v.state["x"]),
             unpickling.Select: self._select,
-            unpickling.Reshape: lambda v: self._number_array(v.state["a"]).reshape(self(v.state["newshape"])),
+            unpickling.Reshape: lambda v: self._reshaped(self._number_array(v.state["a"]), v.state["newshape"]),
             unpickling.Columns: lambda v: self._dense(v, by_column=True),
             unpickling.Rows: lambda v: self._dense(v, by_column=False),
         }
@@ -169,7 +169,12 @@ class _Decoder:
         self._make_room(array.nbytes + index.size * array.itemsize)
         chosen = array.ravel()[index]
         shape = value.state.get("preferred_shape")
-        return chosen if shape is None else chosen.reshape(self(shape))
+        return chosen if shape is None else self._reshaped(chosen, shape)
+
+    def _reshaped(self, array: np.ndarray, shape: Any) -> np.ndarray:
+        array = array.reshape(self(shape))
+        check_size(array.shape, array.dtype, MAX_BYTES)
+        return array
 
     def _dense(self, value: unpickling.Inert, by_column: bool) -> np.ndarray:
         state = value.state
@@ -178,6 +183,7 @@ class _Decoder:
         if len(shape) != 2 or min(shape) < 0:
             raise pickle.UnpicklingError(f"a sparse matrix of shape {shape}")
         self._make_room(math.prod(shape) * data.itemsize)
+        check_size(shape, data.dtype, MAX_BYTES)
         counts = np.diff(start)
         if start[0] != 0 or (counts < 0).any() or len(minor) != start[-1]:
             raise pickle.UnpicklingError("a sparse matrix whose parts don't fit")

@@ -2,8 +2,8 @@
 
 A pickle is a program: the usual reader imports and calls whatever it names. Here it can only fill builtin containers
 and inert stand-ins, which remember what they were given and do nothing. How much work it can make is bounded: a tuple
-is no deeper and, as a key, has no more parts than data need, since Python hashes each part as often as it is named;
-and calls take no more than the pickle's length explains.
+or frozenset is no deeper and, as a key, has no more parts than data need, since Python hashes each part, and compares
+those of equal hash, as often as it is named; and calls take no more than the pickle's length explains.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import IO, Any
 
 from grabnet.io.npy import plain_dtype
 
-# Tuples within tuples, and parts of one that is a key or in a set; beyond 100,000, Python itself breaks.
+# Tuples and frozensets within others, and parts of one that is a key or in a set; beyond 100,000, Python itself breaks.
 MAX_DEPTH = 100
 _MAX_KEY = 100
 
@@ -116,6 +116,33 @@ class _NoBytes(Inert):
         return b""
 
 
+class _Counted:
+    """What can be a key and hold others: knows how deep it is and of how many parts, each as often as it is named."""
+
+    def __init__(self, items: Any = ()):
+        nested = [item for item in self if isinstance(item, _Counted)]
+        self.depth = 1 + max((item.depth for item in nested), default=0)
+        self.parts = min(len(self) + sum(item.parts for item in nested), _MAX_KEY + 1)
+        if self.depth > MAX_DEPTH:
+            raise pickle.UnpicklingError(f"tuples or sets nested more than {MAX_DEPTH} deep")
+
+    def __hash__(self) -> int:
+        if self.parts > _MAX_KEY:
+            raise pickle.UnpicklingError(f"a key of more than {_MAX_KEY} parts")
+        return super().__hash__()
+
+    def __setstate__(self, state: Any) -> None:
+        raise pickle.UnpicklingError("it changes a tuple or set")  # and what it knows of itself
+
+
+class _Tuple(_Counted, tuple):
+    """A tuple that a pickle makes."""
+
+
+class _FrozenSet(_Counted, frozenset):
+    """A frozenset that a pickle makes."""
+
+
 STANDS_FOR: dict[tuple[str, str], Callable[..., Any]] = {
     ("numpy", "ndarray"): Array,
     ("numpy", "dtype"): Dtype,
@@ -138,23 +165,7 @@ for _module in ("builtins", "__builtin__"):
     STANDS_FOR[_module, "object"] = _Object
     STANDS_FOR[_module, "bytes"] = _NoBytes
     STANDS_FOR[_module, "set"] = set
-    STANDS_FOR[_module, "frozenset"] = frozenset
-
-
-class _Tuple(tuple):
-    """A tuple that knows how deep it is and of how many parts, each counted as often as it is named."""
-
-    def __init__(self, items: Any):
-        nested = [item for item in self if type(item) is _Tuple]
-        self.depth = 1 + max((item.depth for item in nested), default=0)
-        self.parts = min(len(self) + sum(item.parts for item in nested), _MAX_KEY + 1)
-        if self.depth > MAX_DEPTH:
-            raise pickle.UnpicklingError(f"tuples nested more than {MAX_DEPTH} deep")
-
-    def __hash__(self) -> int:
-        if self.parts > _MAX_KEY:
-            raise pickle.UnpicklingError(f"a key of more than {_MAX_KEY} parts")
-        return tuple.__hash__(self)
+    STANDS_FOR[_module, "frozenset"] = _FrozenSet
 
 
 class Reader(pickle._Unpickler):
@@ -198,6 +209,12 @@ class Reader(pickle._Unpickler):
     dispatch[pickle.TUPLE1[0]] = lambda self: self.load_tuple_of(1)
     dispatch[pickle.TUPLE2[0]] = lambda self: self.load_tuple_of(2)
     dispatch[pickle.TUPLE3[0]] = lambda self: self.load_tuple_of(3)
+
+    def load_frozenset(self) -> None:
+        items = self.pop_mark()
+        self.append(_FrozenSet(items))
+
+    dispatch[pickle.FROZENSET[0]] = load_frozenset
 
     def load_reduce(self) -> None:
         self._work -= sum(len(argument) for argument in self.stack[-1] if hasattr(argument, "__len__"))

@@ -111,6 +111,19 @@ def test_chumpy_arrays_become_plain_ones(chumpy, protocol):
     np.testing.assert_array_equal(decoded["flat"], x.ravel()[chosen].reshape(-1, 6))
 
 
+def test_arrays_of_no_bytes_and_many_rows_are_refused_however_they_are_shaped(chumpy):
+    none, shape = np.zeros(0), (10**12, 0)
+    matrix = scipy.sparse.csc_matrix((0, 0))
+    matrix._shape = shape
+    values = [chumpy.Reshape(a=none, newshape=shape), matrix]
+    values += [chumpy.Select(a=none, idxs=np.zeros(0, int), preferred_shape=shape)]
+    written = [pickle.dumps(value) for value in values]
+    chumpy.write(None, 2)
+    for data in written:
+        with pytest.raises(UserError, match="an array of 1000000000000×0 values"):
+            decode_pickle(data, "file")
+
+
 @pytest.mark.parametrize("protocol", [0, 2, 5])
 @pytest.mark.parametrize("kind", ["csc", "csr"])
 def test_sparse_matrices_become_dense(kind, protocol):
@@ -278,11 +291,24 @@ def _shared_list(times: int) -> list:
     return value
 
 
+def _equal_frozensets(times: int, make: bytes) -> bytes:
+    """Two values of their own making that are equal, in one set; each part is compared as often as it is named."""
+
+    def chain(memo: bytes) -> bytes:
+        one, two = (b"h" + memo + b"K" + bytes([k]) + b"\x86" for k in range(2))
+        return make % b"K\x01" + b"q" + memo + (b"0" + make % (one + two) + b"q" + memo) * times
+
+    return b"\x80\x04" + chain(b"\x00") + b"0" + chain(b"\x01") + b"0\x8f(h\x00h\x01\x90."
+
+
 # What a reader that follows each reference never ends with, or breaks Python: small pickles of much work.
 ENDLESS = {
     "tuples as a key": b"\x80\x02})" + _doubled(b"\x86", 90) + b"Ns.",
     "tuples in a set": b"\x80\x04\x8f()" + _doubled(b"\x86", 90) + b"\x90.",
     "tuples in a frozenset": b"\x80\x04()" + _doubled(b"\x86", 90) + b"\x91.",
+    "frozensets that are equal": _equal_frozensets(60, b"(%s\x91"),
+    "frozensets that are called for": _equal_frozensets(60, b"cbuiltins\nfrozenset\n(%sl\x85R"),
+    "tuples that say they are small": b"\x80\x02})" + _doubled(b"\x86}X\x05\0\0\0partsK\x00sb", 90) + b"Ns.",
     "tuples that are shared": b"\x80\x02)" + _doubled(b"\x86", 90) + b".",
     "lists that are shared": pickle.dumps(_shared_list(200)),
     "dicts that are shared": b"\x80\x02]" + b"".join(b"q%c}(K\x00h%cK\x01h%cu" % (k, k, k) for k in range(90)) + b".",

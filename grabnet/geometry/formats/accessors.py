@@ -11,7 +11,7 @@ from urllib.parse import unquote_to_bytes
 import numpy as np
 
 from grabnet.geometry.formats.geometry import FormatError
-from grabnet.geometry.formats.json_values import item, items, whole
+from grabnet.geometry.formats.json_values import extensions_of, item, items, whole
 
 _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC3": 3}
@@ -100,8 +100,8 @@ class Accessors:
         buffer_number = whole(view.get("buffer"), f"the buffer of view {number}")
         data = self._buffers[buffer_number] if buffer_number < len(self._buffers) else None
         if data is None:
-            extensions = view.get("extensions")
-            if isinstance(extensions, dict) and (used := [name for name in _COMPRESSED if name in extensions]):
+            extensions = extensions_of(view, f"view {number}")
+            if used := [name for name in _COMPRESSED if name in extensions]:
                 raise FormatError(f"{where} is compressed with {used[0]}, which is not read: export it without")
             raise FormatError(f"{where} refers to buffer {buffer_number}, which has no data: export it again")
         offset = whole(view.get("byteOffset", 0), f"the offset of view {number}")

@@ -6,20 +6,22 @@ Only geometry is read. What a file requires and this reader does not do is refus
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
 
 from grabnet.geometry.formats.accessors import Accessors
 from grabnet.geometry.formats.geometry import MAX_FACES, FormatError, Geometry
-from grabnet.geometry.formats.json_values import array, item, items, whole
+from grabnet.geometry.formats.json_values import array, extensions_of, item, items, whole
 
 # Extensions that leave geometry as it is, or that are read (quantised attributes).
 _HARMLESS = ("KHR_mesh_quantization", "KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_")
-# Extensions that move or multiply what a node shows, whether a file requires them or not.
+_HARMLESS += (_VISIBILITY := "KHR_node_visibility",)  # read: what it hides is left out
+# Extensions that move or multiply what a node shows, whether a file lists them or not.
 _OF_NODES = ("EXT_mesh_gpu_instancing",)
 _DRACO = "KHR_draco_mesh_compression"
+_READ_VERSIONS = re.compile(r"[01](\.\d+)?|2(\.0)?")
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _MOST_NODES = 100_000
 
@@ -32,8 +34,8 @@ def read(data: bytes, fetch: Callable[[str], bytes]) -> Geometry:
         fetch: bytes of a buffer that lies elsewhere, by its URI.
 
     Raises:
-        FormatError: glTF 1, damaged, ended early, extensions that are not read, skeletons and morphs, transformations
-            that are not finite.
+        FormatError: glTF other than 2.0, damaged, ended early, extensions that are not read, skeletons and morphs,
+            transformations that are not finite.
     """
     text, binary = _chunks(data) if data.startswith(b"glTF") else (data, None)
     try:
@@ -47,8 +49,8 @@ def read(data: bytes, fetch: Callable[[str], bytes]) -> Geometry:
     accessors = Accessors(document, binary, fetch)
     vertices, faces, n = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
     shown = 0
-    for number, matrix in _shown(document):
-        for points, triangles in _primitives(document, accessors, number):
+    for node, matrix in _shown(document):
+        for points, triangles in _primitives(document, accessors, node):
             vertices.append(points @ matrix[:3, :3].T + matrix[:3, 3])
             # A mirror image keeps its outside outside.
             faces.append(n + (triangles if np.linalg.det(matrix[:3, :3]) >= 0 else triangles[:, ::-1]))
@@ -80,6 +82,9 @@ def _check_version(document: dict) -> None:
     named = isinstance(document.get("meshes"), dict) or isinstance(document.get("buffers"), dict)
     if named or str(version if version is not None else 2).split(".")[0] != "2":
         raise FormatError("it is glTF 1: export it as glTF 2.0" if named else f"it is glTF {version!s:.10}, not 2.0")
+    least = asset.get("minVersion", "2.0") if isinstance(asset, dict) else "2.0"
+    if not _READ_VERSIONS.fullmatch(str(least)):
+        raise FormatError(f"it can be read only as glTF {least!s:.10} or later: export it as glTF 2.0")
 
 
 def _check_extensions(document: dict) -> None:
@@ -88,11 +93,15 @@ def _check_extensions(document: dict) -> None:
             raise FormatError(f"it requires the extension {name!s:.60}, which is not read: export it without")
     for name in items(document, "extensionsUsed"):
         if name in _OF_NODES:
-            raise FormatError(f"it uses the extension {name}, which is not read: export it without")
+            raise _unread(name)
 
 
-def _shown(document: dict) -> Iterator[tuple[int, np.ndarray]]:
-    """Number of each mesh that the scene shows, with the (4, 4) matrix that places it."""
+def _unread(extension: str) -> FormatError:
+    return FormatError(f"it uses the extension {extension}, which is not read: export it without")
+
+
+def _shown(document: dict) -> Iterator[tuple[dict, np.ndarray]]:
+    """Each node with a mesh that the scene shows, with the (4, 4) matrix that places it."""
     nodes = items(document, "nodes")
     if items(document, "scenes"):
         roots = items(item(document, "scenes", document.get("scene", 0)), "nodes")
@@ -108,12 +117,26 @@ def _shown(document: dict) -> Iterator[tuple[int, np.ndarray]]:
         if len(seen) == _MOST_NODES:
             raise FormatError(f"it has more than {_MOST_NODES:,} nodes: merge its parts")
         seen.add(number)
+        extensions = extensions_of(node, f"node {number}")
+        if used := [name for name in _OF_NODES if name in extensions]:
+            raise _unread(used[0])
+        if not _is_visible(extensions, number):
+            continue
         matrix = parent @ _matrix(node, number)
         waiting += [(child, matrix) for child in reversed(items(node, "children"))]
         if "mesh" in node:
             if "skin" in node:
                 raise FormatError(f"node {number} is moved by a skeleton (skin): export it with its pose applied")
-            yield node["mesh"], matrix
+            yield node, matrix
+
+
+def _is_visible(extensions: dict, number: int) -> bool:
+    """Whether a node and what is below it are shown."""
+    visibility = extensions.get(_VISIBILITY, {})
+    visible = visibility.get("visible", True) if isinstance(visibility, dict) else None
+    if not isinstance(visible, bool):
+        raise FormatError(f"the visibility of node {number} is damaged: export it again")
+    return visible
 
 
 def _matrix(node: dict, number: int) -> np.ndarray:
@@ -137,26 +160,27 @@ def _matrix(node: dict, number: int) -> np.ndarray:
     return matrix
 
 
-def _primitives(document: dict, accessors: Accessors, number: Any) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Points (P, 3) and triangles (T, 3) of the parts of a mesh."""
-    mesh = item(document, "meshes", number)
+def _primitives(document: dict, accessors: Accessors, node: dict) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Points (P, 3) and triangles (T, 3) of the parts of a node's mesh."""
+    mesh, where = item(document, "meshes", node["mesh"]), f"mesh {node['mesh']}"
+    morphed = any(items(node if "weights" in node else mesh, "weights"))  # a node's go before its mesh's
     for primitive in items(mesh, "primitives"):
-        where = f"mesh {number}"
         if not isinstance(primitive, dict) or not isinstance(primitive.get("attributes", {}), dict):
             raise FormatError(f"{where} has a part that is damaged: export it again")
         if "POSITION" not in primitive.get("attributes", {}):
             continue
         position = primitive["attributes"]["POSITION"]
-        if _DRACO in (primitive.get("extensions") or {}) and not accessors.is_stored(position):
+        indices = primitive.get("indices")
+        compressed = _DRACO in extensions_of(primitive, where)
+        if compressed and not all(accessors.is_stored(n) for n in (position, indices) if n is not None):
             raise FormatError(f"{where} is compressed with {_DRACO}, which is not read: export it without")
-        if primitive.get("targets") and any(items(mesh, "weights")):
+        if primitive.get("targets") and morphed:
             raise FormatError(f"{where} is changed by morph targets (weights): export it with its shape applied")
         points = accessors.values(position, "VEC3")
         mode = whole(primitive.get("mode", _TRIANGLES), f"the mode of {where}")
         if mode not in (_TRIANGLES, _STRIP, _FAN):
             yield points, np.zeros((0, 3), np.int64)
             continue
-        indices = primitive.get("indices")
         corners = np.arange(len(points)) if indices is None else accessors.values(indices, "SCALAR")[:, 0]
         if corners.size and not corners.max() < len(points):
             raise FormatError(f"{where} has faces that name vertices beyond its {len(points)}: export it again")

@@ -35,6 +35,18 @@ def item(document: dict, name: str, number: Any) -> dict:
     return found[number]
 
 
+def extensions_of(part: dict, where: str) -> dict:
+    """Extensions of a part of a document by name; empty where there are none.
+
+    Raises:
+        FormatError: something else than an object.
+    """
+    found = part.get("extensions") or {}
+    if not isinstance(found, dict):
+        raise FormatError(f"the extensions of {where} are damaged: export it again")
+    return found
+
+
 def whole(value: Any, what: str) -> int:
     """A whole number, not below 0.
 

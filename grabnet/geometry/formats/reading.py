@@ -24,6 +24,8 @@ _READERS: dict[str, Callable[[bytes], Geometry]] = {".obj": obj.read, ".ply": pl
 _READERS |= {".off": off.read}
 SUFFIXES = (*_READERS, ".glb", ".gltf")
 
+# Of an address; a single letter is a drive.
+_SCHEME = re.compile(r"[a-zA-Z][a-zA-Z\d+.-]+:(?=//?)")
 _OBJ_LINES = re.compile(rb"^[ \t]*(v|f)[ \t]+[-+.\d]", re.MULTILINE)
 # Content that tells its format; the first that fits counts.
 _LOOKS_LIKE: dict[str, Callable[[bytes], object]] = {
@@ -50,13 +52,13 @@ def read_geometry(path: Path) -> Geometry:
     data = _bytes(path, str(path))
     if not data.strip():
         raise UserError(f"{path} is empty.")
-    looks_like = next((name for name, test in _LOOKS_LIKE.items() if test(data)), None)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused with the mesh
             geometry = _READERS[suffix](data) if suffix in _READERS else gltf.read(data, lambda uri: _buffer(path, uri))
     except (UserError, MemoryError):
         raise
     except Exception as error:  # a broken file can fail anywhere in a parser: all of it means unreadable
+        looks_like = next((name for name, test in _LOOKS_LIKE.items() if test(data)), None)
         if looks_like not in (None, suffix) and not {looks_like, suffix} <= {".glb", ".gltf"}:
             raise UserError(
                 f"{path} does not hold what its extension {suffix} says: it looks like {looks_like}, rename it."
@@ -72,6 +74,8 @@ def read_geometry(path: Path) -> Geometry:
 def _buffer(path: Path, uri: str) -> bytes:
     """Bytes of a file that a glTF refers to; only files in its own folder or below are touched."""
     folder = path.parent.resolve()
+    if scheme := _SCHEME.match(uri):
+        raise FormatError(f"it refers to {uri[:60]!r}, and {scheme[0]} addresses are not read: save it as .glb")
     try:
         if not uri.isprintable():
             raise ValueError

@@ -164,6 +164,10 @@ def test_draco_with_data_beside_it_is_read():
     document["extensionsUsed"] = ["KHR_draco_mesh_compression"]
     document.primitive["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0}}
     assert_box(document)
+    view = document["accessors"][1].pop("bufferView")
+    with pytest.raises(FormatError, match="compressed with KHR_draco_mesh_compression, which is not read"):
+        solid(document)
+    document["accessors"][1]["bufferView"] = view
     del document["accessors"][0]["bufferView"]
     with pytest.raises(FormatError, match="compressed with KHR_draco_mesh_compression, which is not read"):
         solid(document)
@@ -182,6 +186,10 @@ def test_meshopt_without_data_beside_it_is_refused_by_name():
     [
         ({"extensionsRequired": ["ACME_secret_geometry"]}, "requires the extension ACME_secret_geometry"),
         ({"extensionsUsed": ["EXT_mesh_gpu_instancing"]}, "uses the extension EXT_mesh_gpu_instancing"),
+        ({"nodes": [{"mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {}}}]}, "extension EXT_mesh_gpu_instancing"),
+        ({"nodes": [{"mesh": 0, "extensions": [1]}]}, "the extensions of node 0 are damaged"),
+        ({"nodes": [{"extensions": {"KHR_node_visibility": {"visible": 0}}}]}, "the visibility of node 0 is damaged"),
+        ({"asset": {"version": "2.0", "minVersion": "2.1"}}, "only as glTF 2.1 or later: export it as glTF 2.0"),
         ({"extensionsRequired": "x"}, "its extensionsRequired are no list"),
         ({"asset": {"version": "1.0"}}, "it is glTF 1.0, not 2.0"),
         ({"meshes": {"a": {}}}, "it is glTF 1: export it as glTF 2.0"),
@@ -240,6 +248,21 @@ def test_morph_targets_are_refused_where_they_change_the_shape():
     document["meshes"][0]["weights"] = [0.5]
     with pytest.raises(FormatError, match="changed by morph targets"):
         solid(document)
+    document["nodes"][0]["weights"] = [0]  # goes before the mesh's
+    assert_box(document)
+    document["nodes"][0]["weights"], document["meshes"][0]["weights"] = [1], [0]
+    with pytest.raises(FormatError, match="mesh 0 is changed by morph targets"):
+        solid(document)
+
+
+def test_what_is_hidden_is_left_out_with_all_below_it():
+    hidden = {"extensions": {"KHR_node_visibility": {"visible": False}}}
+    document = Document(children=[1])
+    document["extensionsRequired"] = ["KHR_node_visibility"]
+    document["nodes"] += [{"children": [2]} | hidden, {"mesh": 0}]
+    assert_box(document)
+    document["nodes"][1]["extensions"]["KHR_node_visibility"] = {}
+    assert len(solid(document).faces) == 24
 
 
 def test_many_shown_copies_are_bounded():

@@ -70,7 +70,9 @@ def gltf(folder, uri: str):
         ("x" * 3000, "cannot be opened"),
         ("/dev/zero", "outside its own folder"),
         ("inner/../../x.bin", "outside its own folder"),
-        ("file:///etc/hostname", "does not exist"),
+        ("file:///etc/hostname", "'file:///etc/hostname', and file: addresses are not read: save it as .glb"),
+        ("file:/etc/hostname", "and file: addresses are not read"),
+        ("https://example.org/a.bin", "and https: addresses are not read: save it as .glb"),
     ],
 )
 def test_buffers_are_files_of_the_folder(tmp_path, uri, said):
