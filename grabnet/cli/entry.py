@@ -244,22 +244,24 @@ def _composed(composer: Hydra, config_name: str, arguments: Sequence[str]) -> Di
     with _in_sentences(composer, arguments):
         cfg = hydra.compose(config_name, list(arguments), return_hydra_config=True)
         HydraConfig.instance().set_config(cfg)  # for interpolations such as ${hydra:runtime.choices.model}
-    with open_dict(cfg):
-        del cfg["hydra"]
-    for override in _parsed(arguments):
-        if override.is_delete():
-            refuse_removal(cfg, override.key_or_group)
-    check(cfg)
+        with open_dict(cfg):
+            del cfg["hydra"]
+        for override in _parsed(arguments):
+            if override.is_delete():
+                refuse_removal(cfg, override.key_or_group)
+        check(cfg)  # which resolves what the values refer to
     return cfg
 
 
 @contextmanager
 def _in_sentences(composer: Hydra, arguments: Sequence[str]) -> Iterator[None]:
-    """Raise as `UserError` what Hydra finds wrong with the arguments that are composed in the block."""
+    """Raise as `UserError` what Hydra finds wrong with the arguments that are composed and checked in the block."""
     overrides = _parsed(arguments)
     refuse_choices(composer.config_loader, overrides)
     try:
         yield
+    except InstantiationException:  # a fault of what was made
+        raise
     except (HydraException, OmegaConfBaseException) as error:
         keys = [override.key_or_group for override in overrides]
         raise UserError(sentence(error, composer.config_loader, keys)) from None
