@@ -185,7 +185,8 @@ def _in_words(hint: Any) -> str:
     """An annotation as one reads it in a config."""
     origin = typing.get_origin(hint)
     if origin in (typing.Union, types.UnionType):
-        return " or ".join(dict.fromkeys(_in_words(option) for option in typing.get_args(hint)))
+        words = (word for option in typing.get_args(hint) for word in _in_words(option).split(" or "))
+        return " or ".join(dict.fromkeys(words))
     if origin is typing.Literal:
         return " or ".join(map(str, typing.get_args(hint)))
     if origin is tuple and Ellipsis not in typing.get_args(hint):

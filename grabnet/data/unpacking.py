@@ -56,7 +56,8 @@ def unpack(downloads: str | Path, root: str | Path, max_bytes: int = MAX_BYTES) 
         except UserError as error:
             failures.append(str(error))
         except OSError as error:
-            if error.errno in DISK_ERRORS:  # of the place, which the next archive finds no better
+            # Of the place, which the next archive finds no better.
+            if error.errno in DISK_ERRORS and error.filename != str(archive):
                 raise
             failures.append(str(UserError(f"{archive} was not unpacked ({error}).")))
     return failures

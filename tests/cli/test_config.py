@@ -73,6 +73,13 @@ ROOT = Path(__file__).parents[2]
         ("model.optimizer._target_=torch.optim.Nope", "model.optimizer._target_=torch.optim.Nope does not exist."),
         ("model.optimizer._target_=antigravitee.Adam", "model.optimizer._target_=antigravitee.Adam does not exist."),
         ("seed=${oc.env:GRABNET_NO_SUCH}", "seed refers to what cannot be resolved (KeyError raised while resolving "),
+        ("trainer.devices=100000", "trainer.devices is 100000; it must be at most "),
+        ("trainer.max_time=abc", "trainer.max_time is 'abc'; it must be null or DD:HH:MM:SS, as in 00:12:00:00."),
+        (
+            "trainer.precision=x",
+            "it must be 64 or 32 or 16 or transformer-engine or transformer-engine-float16 or 16-t",
+        ),
+        ("trainer.precision=x", " or 64-true or bf16 or null."),
         ("seed=${nothing}", "seed refers to what cannot be resolved (Interpolation key 'nothing' not found)"),
         ("seed=${seed}", "seed refers to what cannot be resolved (Recursive interpolation detected)"),
         (

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -39,11 +40,16 @@ def _silent_stderr() -> Iterator[None]:
         os.close(nowhere)
 
 
+def _user_cache() -> Path:
+    """Where warp's folder lies, unless WARP_CACHE_PATH names one."""
+    return Path(os.environ.get("XDG_CACHE_HOME", os.path.expanduser("~")))  # noqa: PTH111, "~": there is no home
+
+
 def _start_warp() -> None:
     """Start warp, with its kernels in a temporary folder where the user's cache cannot be written to."""
     wp.config.log_level = wp.LOG_WARNING
     usable = False
-    if "WARP_CACHE_PATH" in os.environ or os.path.expanduser("~") != "~":  # noqa: PTH111, "~": there is no home
+    if "WARP_CACHE_PATH" in os.environ or _user_cache().is_absolute():  # else it would lie in the current folder
         with suppress(OSError), _silent_stderr():  # on a machine without an NVIDIA driver warp says so at every start
             wp.init()
             usable = os.access(wp.config.kernel_cache_dir, os.W_OK)
