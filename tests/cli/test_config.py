@@ -77,7 +77,7 @@ ROOT = Path(__file__).parents[2]
         ("trainer.max_time=abc", "trainer.max_time is 'abc'; it must be null or DD:HH:MM:SS, as in 00:12:00:00."),
         (
             "trainer.precision=x",
-            "it must be 64 or 32 or 16 or transformer-engine or transformer-engine-float16 or 16-t",
+            "it must be 64 or 32 or 16 or transformer-engine or transformer-engine-float16 or 16",
         ),
         ("trainer.precision=x", " or 64-true or bf16 or null."),
         ("seed=${nothing}", "seed refers to what cannot be resolved (Interpolation key 'nothing' not found)"),
