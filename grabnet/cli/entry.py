@@ -5,6 +5,7 @@ Exit codes of every command:
     1: what the lines "error: …" name failed, and the rest was done.
     2: it could not start, or had to end, for the reason in the last line, "error: …".
     130, 143: it was stopped, by Ctrl-C or by SIGTERM.
+    141: the reader of its output has gone.
 """
 
 from __future__ import annotations
