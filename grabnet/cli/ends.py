@@ -49,7 +49,7 @@ def in_sentences() -> Iterator[None]:
         logging.raiseExceptions = False  # a log that cannot be written is no reason for tracebacks
         try:
             yield
-            sys.stdout.flush()  # while a disk that is full can still be told
+            sys.stdout.flush()  # while a full disk can still be reported
         except Stopped as stop:
             say(_with_notes(stop))
             sys.exit(128 + stop.signum)

@@ -84,7 +84,7 @@ def hydra_entry(
             arguments = get_args_parser().parse_intermixed_args(given)
             # Hydra reads values only before or after its options.
             sys.argv[1:] = [*(a for a in given if a not in arguments.overrides), *arguments.overrides]
-            codes, wants_traceback = [0], os.environ.get("HYDRA_FULL_ERROR") == "1"
+            codes, keeps_traceback = [0], os.environ.get("HYDRA_FULL_ERROR") == "1"
 
             @functools.wraps(main)
             def job(cfg: DictConfig) -> object:
@@ -95,7 +95,7 @@ def hydra_entry(
                     mistake = (refusal(error) if isinstance(error, InstantiationException) else None) or told(error)
                     if mistake is not None:
                         log.debug("Refused here:", exc_info=error)  # hydra.verbose=true, for who writes a constructor
-                    if HydraConfig.get().mode != RunMode.MULTIRUN and (mistake or not wants_traceback):
+                    if HydraConfig.get().mode != RunMode.MULTIRUN and (mistake or not keeps_traceback):
                         fail(mistake or UserError(unexpected(error)))  # here, since Hydra announces what a run raises
                     if not HydraConfig.get().sweeper._target_.startswith("hydra."):  # ours records what failed
                         raise (mistake or error) from None
@@ -164,7 +164,7 @@ def _hydra(folder: Path, name: str, more: str | None = None) -> Iterator[Hydra]:
         further.append(f"file://{Path(more).absolute()}")
     search_path = create_config_search_path(str(folder))
     for path in further:
-        search_path.prepend("command-line", path, SearchPathQuery(provider="schema"))  # Hydra wants its schema last
+        search_path.prepend("command-line", path, SearchPathQuery(provider="schema"))  # Hydra needs its schema last
     running = GlobalHydra.instance().hydra
     GlobalHydra.instance().clear()
     try:

@@ -43,7 +43,7 @@ class Run:
 
     @property
     def status(self) -> str:
-        """done, pruned, failed, or unfinished: not begun, going on or killed."""
+        """done, pruned, failed, or unfinished: not started, going on or killed."""
         if (self.folder / METRICS).exists():
             return DONE
         return self._outcome().get("status", UNFINISHED)
@@ -74,8 +74,8 @@ class Run:
 def folder_name(overrides: Iterable[str], values: Mapping[str, str]) -> str:
     """A name that the same overrides, in any order, always get and no others: the swept values, then a hash of all."""
     # Where the sweep lies does not make it another one.
-    told = sorted(o for o in overrides if not o.startswith("sweep_dir="))
-    digest = hashlib.sha256("\n".join(told).encode()).hexdigest()[:6]
+    given = sorted(o for o in overrides if not o.startswith("sweep_dir="))
+    digest = hashlib.sha256("\n".join(given).encode()).hexdigest()[:6]
     readable = ",".join(f"{key.lstrip('+')}={value}" for key, value in values.items())
     return "-".join(part for part in (re.sub(r"[^\w.,=+-]", "_", readable)[:120], digest) if part)
 

@@ -1,6 +1,6 @@
 """One training run from config to weights: what `train.py` does.
 
-`python -m grabnet.training.run <config.yaml>` takes part in a run that another process has begun.
+`python -m grabnet.training.run <config.yaml>` takes part in a run that another process has started.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ log = logging.getLogger(__name__)
 PROVENANCE = "provenance.json"
 _PROVENANCE: Kind = {"made": str, "versions": {str: object}, "machine": str, "commit": (str, None)}
 _PROVENANCE |= {"trained_from": {str: object}, "earlier?": [{str: object}]}
-# What a run is begun with and cannot change when it goes on. How long it takes and what it tells can.
+# What a run is started with and cannot change when it goes on. How long it takes and what it tells can.
 _FIXED = ("hand_model", "data", "model", "seed", "objective")
 
 
@@ -60,7 +60,7 @@ def train(cfg: DictConfig) -> dict[str, float]:
         the metrics.
 
     Raises:
-        UserError: the training diverged or had no time, another one writes to the run folder, a begun run is to go on
+        UserError: the training diverged or had no time, another one writes to the run folder, a started run is to go on
             with other settings or has no checkpoint or record that can be read, or the trainer cannot be had or run as
             configured.
     """

@@ -79,7 +79,7 @@ def launch(kernel: wp.Kernel, items: Sequence[Tensor], constants: Sequence[Any],
         width: of each item, where an item is a row of work. The kernel's first argument is then the number of lanes,
             threads that share a row: many on a GPU, one on a CPU.
     """
-    items = [x.detach() for x in items]  # pieces of what wants a gradient would want one in other threads
+    items = [x.detach() for x in items]  # pieces of what needs a gradient would need one in other threads
     first = items[0]
     device = wp.device_from_torch(first.device)
     kernel.module.load(device)  # compiled before threads could race for it
