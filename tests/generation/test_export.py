@@ -11,7 +11,7 @@ from grabnet.body.hand import OPEN_HANDS, HandModel, HandParameters
 from grabnet.errors import UserError
 from grabnet.generation.export import result_folders, write_grasps
 from grabnet.generation.formats import FORMATS
-from grabnet.generation.grasps import Grasps
+from grabnet.generation.grasps import RECORD, Grasps, has_results, record_of
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.object_mesh import load_object
 from grabnet.geometry.rotations import axis_angle_to_matrix
@@ -188,3 +188,9 @@ def test_folders_of_meshes_with_long_names_leave_room_for_temporary_ones(tmp_pat
     with filling(tmp_path / folders[1], ["grasps.json"], lambda _: True) as temporary:
         (temporary / "grasps.json").touch()
     assert (tmp_path / folders[1] / "grasps.json").exists()
+
+
+@pytest.mark.parametrize("text", ["[]", "[" * 100_000, "{", '{"mesh": 3, "grasps": [], "definitions": {}}', "\udcff"])
+def test_a_record_that_is_none_says_nothing(text, tmp_path):
+    (tmp_path / RECORD).write_bytes(text.encode(errors="surrogateescape"))
+    assert record_of(tmp_path) == {} and not has_results(tmp_path)

@@ -49,7 +49,8 @@ def _start_warp() -> None:
     """Start warp, with its kernels in a temporary folder where the user's cache cannot be written to."""
     wp.config.log_level = wp.LOG_WARNING
     usable = False
-    if "WARP_CACHE_PATH" in os.environ or _user_cache().is_absolute():  # else it would lie in the current folder
+    named = os.environ.get("WARP_CACHE_PATH")
+    if named or (named is None and _user_cache().is_absolute()):  # else it would lie in the current folder
         with suppress(OSError), _silent_stderr():  # on a machine without an NVIDIA driver warp says so at every start
             wp.init()
             usable = os.access(wp.config.kernel_cache_dir, os.W_OK)
