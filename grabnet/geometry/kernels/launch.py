@@ -59,7 +59,7 @@ def _start_warp() -> None:
     folder = tempfile.mkdtemp(prefix="grabnet-kernels-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     warnings.warn(
-        "The user's cache folder cannot be written to: compiled kernels are kept in a temporary one. Name one that can "
+        "The user's cache folder cannot be used: compiled kernels are kept in a temporary one. Name one that can "
         "in the environment, as WARP_CACHE_PATH and GRABNET_CACHE, to save half a minute at each start.",
         stacklevel=2,
     )
