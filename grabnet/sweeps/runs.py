@@ -15,7 +15,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from grabnet.errors import UserError
+from grabnet.errors import UserError, printable
 from grabnet.io.files import write_json
 from grabnet.io.state import read_json
 from grabnet.training.ending import METRICS, RunPruned
@@ -93,7 +93,7 @@ class RecordOutcome(Callback):
         error = job_return._return_value  # its public twin would raise it
         if isinstance(error, RunPruned):
             status, reason = PRUNED, str(error)
-            log.info("%s pruned: %s", folder, reason)
+            log.info("%s pruned: %s", printable(str(folder)), reason)
         elif isinstance(error, UserError):
             status, reason = FAILED, str(error)
             log.error("%s failed: %s", folder, reason)

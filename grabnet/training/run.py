@@ -22,7 +22,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from grabnet.cli.ends import Stopped, in_sentences
 from grabnet.data.datamodule import GraspDataModule
-from grabnet.errors import UserError
+from grabnet.errors import UserError, printable
 from grabnet.io.files import naming, replacing, sha256, write_json
 from grabnet.io.litter import clear_litter
 from grabnet.io.locks import alone_in
@@ -125,7 +125,7 @@ def _fit(
             record |= _earlier(run_dir / PROVENANCE)
         write_json(run_dir / PROVENANCE, record)
     if resumed:
-        log.info("Going on from %s.", resumed)
+        log.info("Going on from %s.", printable(str(resumed)))
     config: Any = OmegaConf.to_container(cfg, resolve=True)
     for logger in trainer.loggers:
         logger.log_hyperparams(config)
@@ -154,7 +154,7 @@ def _fit(
         for folder, network in module.networks.items():
             save_network(run_dir / folder / FILE_NAME, network, record | {"config": config, "metrics": metrics})
         write_json(run_dir / METRICS, metrics)
-    log.info("Weights, metrics and logs are in %s.", run_dir)
+    log.info("Weights, metrics and logs are in %s.", printable(str(run_dir)))
     return metrics
 
 
