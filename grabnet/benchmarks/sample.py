@@ -93,7 +93,7 @@ def _optimising(grabber: Grabber, kind: type[GraspHand], device: str) -> Callabl
 
 @torch.inference_mode()
 def _plain(grabber: Grabber, points: Tensor) -> None:
-    """As many grasps, each of the object turned anew, but without report: no exact penetration, no contact."""
+    """As many grasps, each of the object turned again, but without report: no exact penetration, no contact."""
     poses = random_rotations(N_GRASPS, torch.Generator().manual_seed(0)).to(points.device)
     coarsenet, refinenet = grabber.generator.coarsenet, grabber.generator.refinenet
     for pose in poses.split(grabber.batch_size):

@@ -91,7 +91,7 @@ class Step:
         self._descend(self._bare_output, self.alone_optimizer)
 
     def plain(self) -> None:
-        """As published: batch and basis points come from disk, all else is compared anew in every step."""
+        """As published: batch and basis points come from disk, all else is compared again in every step."""
         self._descend(lambda: _total(self.plain_terms()), self.optimizer)
 
     def plain_terms(self) -> dict[str, Tensor]:

@@ -109,7 +109,7 @@ class Anatomy:
 
         The inverse of `hand_pose`, in radians. What is left is the angle by which a joint turns about an axis that it
         does not have, such as a fingertip sideways; the base of the thumb has all three. Flexion of the base of the
-        thumb is told within a quarter turn, all other angles within half of one either way.
+        thumb is unique within a quarter turn, all other angles within half of one either way.
         """
         flexion_axes = self.angle_axes[[4 * f + k for f in range(4) for k in (0, 2, 3)] + [16, 19, 20]]
         flexion, swing = _swing_and_twist(hand_pose, flexion_axes)

@@ -16,6 +16,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from grabnet.cli.checks import annotations, mismatch
+from grabnet.cli.ends import told
 from grabnet.errors import UserError
 
 _RESERVED = {"_target_", "_partial_", "_recursive_", "_convert_"}
@@ -113,11 +114,19 @@ def _joined(path: str, key: object) -> str:
 
 
 def _located(target: str, path: str) -> Any:
-    """What a `_target_` names. (Hydra's own look-up writes to the log what it does not find.)"""
+    """What a `_target_` names. (Hydra's own look-up writes to the log what it does not find.)
+
+    Raises:
+        UserError: it does not exist or cannot be imported. What stops the command while it imports, as `Stopped` does,
+            is raised as it is, though pydoc wraps it.
+    """
     try:
         found = pydoc.locate(target)
     except pydoc.ErrorDuringImport as error:
-        raise UserError(f"{path}._target_={target} cannot be imported ({error.value}).") from None
+        if not isinstance(error.value, Exception):
+            raise error.value from None
+        refused = UserError(f"{path}._target_={target} cannot be imported ({error.value}).")
+        raise (told(error.value) or refused) from None
     if found is None:
         raise UserError(f"{path}._target_={target} does not exist.")
     return found
@@ -176,7 +185,8 @@ def _in_words(hint: Any) -> str:
     """An annotation as one reads it in a config."""
     origin = typing.get_origin(hint)
     if origin in (typing.Union, types.UnionType):
-        return " or ".join(dict.fromkeys(_in_words(option) for option in typing.get_args(hint)))
+        words = (word for option in typing.get_args(hint) for word in _in_words(option).split(" or "))
+        return " or ".join(dict.fromkeys(words))
     if origin is typing.Literal:
         return " or ".join(map(str, typing.get_args(hint)))
     if origin is tuple and Ellipsis not in typing.get_args(hint):

@@ -54,7 +54,8 @@ Count = Annotated[int, Range(1, 1_000_000)]
 Several = Annotated[int, Range(2, 1_000_000)]
 Batch = Annotated[int, Range(1, 65_536)]  # what is computed, or held in memory, at once
 Amount = Annotated[int, Range(0, 1_000_000)]  # a count that may be none
-Concurrent = Annotated[int, Range(1, 16 * (os.cpu_count() or 1))]  # threads or processes; more only cost memory
+MOST_AT_ONCE = 16 * (os.cpu_count() or 1)
+Concurrent = Annotated[int, Range(1, MOST_AT_ONCE)]  # threads or processes; more only cost memory
 Distance = Annotated[float, Range(0, 0.1, above=True)]  # m, ε of contact
 Positive = Annotated[float, Range(0, above=True)]
 Weight = Annotated[float, Range(0)]

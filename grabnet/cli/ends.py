@@ -18,7 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-from grabnet.errors import UserError
+from grabnet.errors import UserError, printable
 
 _PACKAGE = Path(__file__).parents[1]
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -49,7 +49,7 @@ def in_sentences() -> Iterator[None]:
         logging.raiseExceptions = False  # a log that cannot be written is no reason for tracebacks
         try:
             yield
-            sys.stdout.flush()  # while a disk that is full can still be told
+            sys.stdout.flush()  # while a full disk can still be reported
         except Stopped as stop:
             say(_with_notes(stop))
             sys.exit(128 + stop.signum)
@@ -73,6 +73,11 @@ def say(sentence: str) -> None:
     """Print "error: <sentence>" in a line of its own on stderr; what could steer the terminal is shown as its code."""
     line = " ".join(sentence.splitlines())
     print("error:", "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line), file=sys.stderr)
+
+
+def note(line: str) -> None:
+    """Print a line of results on stdout; what could steer the terminal, as in names of files, is shown as its code."""
+    print(printable(line))
 
 
 def told(error: BaseException) -> UserError | None:

@@ -5,6 +5,7 @@ Exit codes of every command:
     1: what the lines "error: …" name failed, and the rest was done.
     2: it could not start, or had to end, for the reason in the last line, "error: …".
     130, 143: it was stopped, by Ctrl-C or by SIGTERM.
+    141: the reader of its output has gone.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ def hydra_entry(
             arguments = get_args_parser().parse_intermixed_args(given)
             # Hydra reads values only before or after its options.
             sys.argv[1:] = [*(a for a in given if a not in arguments.overrides), *arguments.overrides]
-            codes, wants_traceback = [0], os.environ.get("HYDRA_FULL_ERROR") == "1"
+            codes, keeps_traceback = [0], os.environ.get("HYDRA_FULL_ERROR") == "1"
 
             @functools.wraps(main)
             def job(cfg: DictConfig) -> object:
@@ -94,7 +95,7 @@ def hydra_entry(
                     mistake = (refusal(error) if isinstance(error, InstantiationException) else None) or told(error)
                     if mistake is not None:
                         log.debug("Refused here:", exc_info=error)  # hydra.verbose=true, for who writes a constructor
-                    if HydraConfig.get().mode != RunMode.MULTIRUN and (mistake or not wants_traceback):
+                    if HydraConfig.get().mode != RunMode.MULTIRUN and (mistake or not keeps_traceback):
                         fail(mistake or UserError(unexpected(error)))  # here, since Hydra announces what a run raises
                     if not HydraConfig.get().sweeper._target_.startswith("hydra."):  # ours records what failed
                         raise (mistake or error) from None
@@ -163,7 +164,7 @@ def _hydra(folder: Path, name: str, more: str | None = None) -> Iterator[Hydra]:
         further.append(f"file://{Path(more).absolute()}")
     search_path = create_config_search_path(str(folder))
     for path in further:
-        search_path.prepend("command-line", path, SearchPathQuery(provider="schema"))  # Hydra wants its schema last
+        search_path.prepend("command-line", path, SearchPathQuery(provider="schema"))  # Hydra needs its schema last
     running = GlobalHydra.instance().hydra
     GlobalHydra.instance().clear()
     try:
@@ -244,22 +245,24 @@ def _composed(composer: Hydra, config_name: str, arguments: Sequence[str]) -> Di
     with _in_sentences(composer, arguments):
         cfg = hydra.compose(config_name, list(arguments), return_hydra_config=True)
         HydraConfig.instance().set_config(cfg)  # for interpolations such as ${hydra:runtime.choices.model}
-    with open_dict(cfg):
-        del cfg["hydra"]
-    for override in _parsed(arguments):
-        if override.is_delete():
-            refuse_removal(cfg, override.key_or_group)
-    check(cfg)
+        with open_dict(cfg):
+            del cfg["hydra"]
+        for override in _parsed(arguments):
+            if override.is_delete():
+                refuse_removal(cfg, override.key_or_group)
+        check(cfg)  # which resolves what the values refer to
     return cfg
 
 
 @contextmanager
 def _in_sentences(composer: Hydra, arguments: Sequence[str]) -> Iterator[None]:
-    """Raise as `UserError` what Hydra finds wrong with the arguments that are composed in the block."""
+    """Raise as `UserError` what Hydra finds wrong with the arguments that are composed and checked in the block."""
     overrides = _parsed(arguments)
     refuse_choices(composer.config_loader, overrides)
     try:
         yield
+    except InstantiationException:  # a fault of what was made
+        raise
     except (HydraException, OmegaConfBaseException) as error:
         keys = [override.key_or_group for override in overrides]
         raise UserError(sentence(error, composer.config_loader, keys)) from None

@@ -13,7 +13,8 @@ from grabnet.cli.mistakes import options
 
 EXIT_CODES = """\
 Exit codes: 0: all was done. 1: what the lines "error: …" name failed, and the rest was done. 2: it could not start, or
-had to end, for the reason in the last line, "error: …"."""
+had to end, for the reason in the last line, "error: …". 130, 143: it was stopped, by Ctrl-C or by SIGTERM. 141: the
+reader of its output has gone."""
 _HYDRA = """\
 Hydra's own options: --cfg job prints the values as composed, --info the files that they come from; -m sweeps over
 comma-separated values; --config-dir DIR adds a folder of your own config files; -sc install=bash completes keys and

@@ -10,7 +10,13 @@ from hydra.core.object_type import ObjectType
 from hydra.core.override_parser.types import Override
 from hydra.errors import MissingConfigException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+from omegaconf.errors import (
+    ConfigAttributeError,
+    ConfigKeyError,
+    InterpolationResolutionError,
+    OmegaConfBaseException,
+    UnsupportedInterpolationType,
+)
 
 from grabnet.errors import UserError
 
@@ -54,6 +60,9 @@ def sentence(error: Exception, loader: ConfigLoader, keys: Sequence[str]) -> str
         if not group:
             return f"There is no config '{name}'."
         return f"There is no {group} '{name}'; {group} can be {', '.join(options(loader, group))}."
+    if isinstance(error, InterpolationResolutionError | UnsupportedInterpolationType):
+        reason = str(error).partition("\n")[0]
+        return f"{error.full_key} refers to what cannot be resolved ({reason}): give it another value."
     cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
     if isinstance(cause, ConfigAttributeError | ConfigKeyError) and cause.parent_node is not None:
         return _unknown_key(cause, keys)

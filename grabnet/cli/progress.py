@@ -22,6 +22,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from grabnet.errors import printable
+
 Item = TypeVar("Item")
 
 # Seconds until the first line, and from one to the next.
@@ -45,7 +47,7 @@ class Steps:
     def __init__(self, display: _Display | None, what: str, total: float | None, done: float):
         self._progress = display.progress if display is not None else None
         if self._progress is not None:
-            self._task = self._progress.add_task(what, total=total, completed=done, start=True, about="")
+            self._task = self._progress.add_task(printable(what), total=total, completed=done, start=True, about="")
 
     def advance(self, n: float = 1, about: str | None = None) -> None:
         """Count n further steps.
@@ -54,7 +56,7 @@ class Steps:
             about: what stands behind the numbers from now on, such as the step's name; as before when omitted.
         """
         if self._progress is not None:
-            self._progress.update(self._task, advance=n, **({} if about is None else {"about": about}))
+            self._progress.update(self._task, advance=n, **({} if about is None else {"about": printable(about)}))
 
     def _end(self) -> None:
         if self._progress is not None:

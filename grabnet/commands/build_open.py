@@ -17,6 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from grabnet.cli.checks import Concurrent, Count, Seed, Several
+from grabnet.cli.ends import note
 from grabnet.cli.parsed import make_parser, number, run_parsed
 
 
@@ -26,7 +27,7 @@ def hand(arguments: argparse.Namespace) -> None:
     if arguments.check:
         return check(build_hands, arguments.folder, n_adults=arguments.adults, seed=arguments.seed)
     report = build_hands(arguments.folder, n_adults=arguments.adults, seed=arguments.seed)
-    print(f"Wrote MANO_RIGHT.npz and MANO_LEFT.npz to {arguments.folder}; on adults left out of the fit:")
+    note(f"Wrote MANO_RIGHT.npz and MANO_LEFT.npz to {arguments.folder}; on adults left out of the fit:")
     print(f"  joints {report.joint_error[0]:.2f} mm off on average, {report.joint_error[1]:.2f} mm at most;")
     print(f"  vertices {report.shape_error[0]:.2f} mm off on average, {report.shape_error[1]:.2f} mm at most.")
     if arguments.picture:
@@ -64,7 +65,7 @@ def body(arguments: argparse.Namespace) -> None:
     if arguments.check:
         return check(build_body, arguments.folder)
     report = build_body(arguments.folder)
-    print(f"Wrote SMPLX_NEUTRAL.npz and subjects.npz to {arguments.folder}; on adults left out of the fit:")
+    note(f"Wrote SMPLX_NEUTRAL.npz and subjects.npz to {arguments.folder}; on adults left out of the fit:")
     print(f"  joints {report.joint_error[0]:.2f} mm off on average, {report.joint_error[1]:.2f} mm at most;")
     print(f"  vertices {report.shape_error[0]:.2f} mm off on average, {report.shape_error[1]:.2f} mm at most.")
 
@@ -90,7 +91,7 @@ def check(build: Callable[..., object], folder: Path, **options: object) -> None
         build(rebuilt, **options)
         for path in sorted(Path(rebuilt).iterdir()):
             array, difference = compare_models(path, folder / path.name)
-            print(f"{folder / path.name}: at most {difference:.1e} off (in {array}).")
+            note(f"{folder / path.name}: at most {difference:.1e} off (in {array}).")
 
 
 def main() -> int:

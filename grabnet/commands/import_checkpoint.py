@@ -13,6 +13,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from grabnet.cli.ends import note
 from grabnet.cli.parsed import make_parser, run_parsed
 
 OUTPUTS = Path("runs/published")
@@ -57,4 +58,4 @@ def _save(arguments: argparse.Namespace, network: Any, **facts: str) -> None:
 
     record = provenance(source="published checkpoint", checkpoint_sha256=sha256(arguments.checkpoint), **facts)
     save_network(arguments.output, network, record)
-    print(f"Wrote {arguments.output}")
+    note(f"Wrote {arguments.output}")

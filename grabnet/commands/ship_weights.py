@@ -10,6 +10,7 @@ from pathlib import Path
 
 from omegaconf import OmegaConf
 
+from grabnet.cli.ends import note
 from grabnet.cli.parsed import make_parser, run_parsed
 from grabnet.errors import UserError
 from grabnet.io.files import replacing, sha256, write_json
@@ -44,4 +45,4 @@ def ship(run: Path, folder: Path) -> None:
     with replacing(folder / "config.yaml") as temporary:
         OmegaConf.save(OmegaConf.create(record["config"]), temporary)
     write_json(folder / "metrics.json", record["metrics"])
-    print(f"{folder}: {(folder / FILE_NAME).stat().st_size / 1e6:.1f} MB")
+    note(f"{folder}: {(folder / FILE_NAME).stat().st_size / 1e6:.1f} MB")

@@ -227,7 +227,7 @@ class GraspDataModule(L.LightningDataModule):
 class IndexBatches(Sampler[tuple[Tensor, int]]):
     """One process's share of batches of numbers 0 … n - 1, each with a seed for its step's noise.
 
-    Shuffled anew each epoch, in full batches of equal shares, what is left over dropped, and again until there are
+    Shuffled again each epoch, in full batches of equal shares, what is left over dropped, and again until there are
     `min_steps`; or once, in order and complete, in even pieces, as many in each process. All follows from seed and
     epoch alone, so that a resumed run goes on as an unbroken one would.
 

@@ -14,14 +14,13 @@ from grabnet.errors import UserError
 from grabnet.io.archives import DAMAGE, members_of, opened_archive
 from grabnet.io.files import DISK_ERRORS, existing, replacing
 from grabnet.io.litter import clear_litter
-from grabnet.io.names import originals
+from grabnet.io.names import LONGEST_NAME, originals
 
 # Bytes that one archive may unpack to; the frames that GrabNet trains on take 19 GB, GRAB's largest subject less.
 MAX_BYTES = 64 << 30
 # One archive may hold the 320,000 frames that GrabNet trains on.
 MAX_MEMBERS = 1_000_000
-# Bytes of a name and of a path, as file systems have them.
-_LONGEST_NAME, _LONGEST_PATH = 240, 4000
+_LONGEST_PATH = 4000  # bytes, as file systems have them
 _REMEDY = "download it again"
 
 
@@ -56,7 +55,8 @@ def unpack(downloads: str | Path, root: str | Path, max_bytes: int = MAX_BYTES) 
         except UserError as error:
             failures.append(str(error))
         except OSError as error:
-            if error.errno in DISK_ERRORS:  # of the place, which the next archive finds no better
+            # Of the place, which the next archive finds no better.
+            if error.errno in DISK_ERRORS and error.filename != str(archive):
                 raise
             failures.append(str(UserError(f"{archive} was not unpacked ({error}).")))
     return failures
@@ -137,7 +137,7 @@ def _check_place(path: Path, name: str, parts: PurePosixPath, file: Path, places
         places: what each name in the archive is so far, "file" or "folder"; this one's are added.
     """
     unpacked = f"{path} holds {name!r}, {{}}: nothing of it was unpacked."
-    if max(len(os.fsencode(part)) for part in parts.parts) > _LONGEST_NAME or len(os.fsencode(file)) > _LONGEST_PATH:
+    if max(len(os.fsencode(part)) for part in parts.parts) > LONGEST_NAME or len(os.fsencode(file)) > _LONGEST_PATH:
         raise UserError(unpacked.format("whose name is too long for a disk"))
     for place in (parts, *parts.parents[:-1]):
         kind = "file" if place == parts else "folder"

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from grabnet.cli.ends import note, say
 from grabnet.cli.progress import track
 from grabnet.errors import UserError
 from grabnet.evaluation.baseline import Lookalike, lookalike, transplanted
@@ -91,10 +91,10 @@ def _without_network(inputs: EvaluationInputs) -> list[Method]:
         hands = recorded_hands(inputs.training_part, inputs.hand, names[similar[name].number], origin)
         chosen = np.random.default_rng([config.seed, 3]).permutation(len(hands))[: config.n]
         baseline.hands[name] = transplanted(hands.select(chosen), origin, mesh, similar[name].turn)
-        print(f"{baseline.name}: {name} is grasped like {names[similar[name].number]}")
+        note(f"{baseline.name}: {name} is grasped like {names[similar[name].number]}")
 
-    note = treatment(config.optimise, config.candidates)
-    if not note:
+    suffix = treatment(config.optimise, config.candidates)
+    if not suffix:
         return [baseline]
     recorded, proposed = {}, {}
     for name, mesh in inputs.meshes.items():
@@ -112,7 +112,7 @@ def _without_network(inputs: EvaluationInputs) -> list[Method]:
             grabber = config.treated(generators[name], inputs.hand)
             made = [title, *sources, *([str(similar[name])] if sources else [])]
             hands[name] = drawn(grabber, made, mesh, config.n, config.seed, inputs.data.cache_dir, inputs.cache)
-        methods.append(Method(title + note, about + note, 2, hands))
+        methods.append(Method(title + suffix, about + suffix, 2, hands))
     return methods
 
 
@@ -122,7 +122,7 @@ def _models(inputs: EvaluationInputs) -> list[Method]:
         variants = model.variants()
         for place, (variant, grabber) in enumerate(variants.items()):
             name = model.title(variant, among=inputs.models)
-            print(f"{name}: {', '.join(str(file) for file in model.files.values())}")
+            note(f"{name}: {', '.join(str(file) for file in model.files.values())}")
             sources = [variant, *model.hashes.values()]
             hands = {
                 object_name: drawn(grabber, sources, mesh, config.n, config.seed, inputs.data.cache_dir, inputs.cache)
@@ -145,7 +145,7 @@ def _folders(inputs: EvaluationInputs, taken: set[str]) -> list[Method]:
         if not method.hands:
             raise UserError(f"{folder} has no folder called like an object; these are {missing}.")
         if missing:
-            print(f"error: {name} has no grasps of {missing}", file=sys.stderr)
+            say(f"{name} has no grasps of {missing}.")
             method.about += f", which has none of {missing}"
         taken.add(name)
         methods.append(method)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import torch
 
+from grabnet.cli.ends import note, say
 from grabnet.evaluation.config import EvaluationConfig
 from grabnet.evaluation.inputs import EvaluationInputs
 from grabnet.evaluation.measuring import Task, measured
@@ -51,8 +51,8 @@ def run(config: EvaluationConfig) -> int:
         protocol.write(output, methods, inputs)
     write_report(output / "report.html", findings, config.pictures, inputs.cache)
     for sentence in findings.failures:
-        print(f"error: {sentence}", file=sys.stderr)
-    print(f"{output / 'report.html'} shows all; figures are in metrics.json, metrics.csv and tables.tex there")
+        say(sentence)
+    note(f"{output / 'report.html'} shows all; figures are in metrics.json, metrics.csv and tables.tex there")
     is_whole = all(name in method.hands for method in methods for name in inputs.objects)
     return 0 if is_whole and not findings.failures else 1
 

@@ -11,7 +11,7 @@ from grabnet.cli.checks import Amount, Batch, Betas, Count, Distance, Filled, Na
 from grabnet.contact.rules import ContactRules
 from grabnet.errors import UserError
 from grabnet.generation.formats import FORMATS
-from grabnet.generation.grabber import ORIENTATIONS, SIDES
+from grabnet.generation.grabber import ORIENTATIONS, SIDES, check_hands
 from grabnet.generation.ranking import RankingConfig
 from grabnet.geometry.object_mesh import file_to_object
 from grabnet.grasping.optimiser import OptimiserConfig
@@ -60,6 +60,7 @@ class SamplingConfig:
     def __post_init__(self):
         in_range(self)
         one_of(self, hand=SIDES, orientation=ORIENTATIONS)
+        check_hands(self.n, self.candidates)
         file_to_object("", self.scale, self.up)  # refuses a wrong scale or axis
         if wrong := [b for b in self.betas or [] if not isinstance(b, float | int)]:
             raise UserError(f"betas holds {wrong[0]!r}; it must be a list of numbers.")

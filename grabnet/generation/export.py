@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from grabnet.generation.gallery import grasp_sheet
 from grabnet.generation.grasps import RESULTS, Grasps, has_results, record_of
 from grabnet.generation.viewer import write_viewer
 from grabnet.io.files import filling
+from grabnet.io.names import LONGEST_NAME
 from grabnet.visual.pictures import save_image
 
 
@@ -35,14 +37,17 @@ def result_folders(meshes: Sequence[Path], output: Path) -> dict[Path, Path]:
 
 
 def _plain(mesh: Path) -> str:
-    """The mesh's name without its ending; one of dots alone would name `output` itself or the folder above it."""
-    return mesh.stem if mesh.stem.strip(". ") else "mesh"
+    """The mesh's name without its ending, cut so that temporary and numbered names beside it fit on a disk; one of dots
+    alone would name `output` itself or the folder above it."""
+    stem = os.fsencode(mesh.stem)
+    plain = mesh.stem if len(stem) <= LONGEST_NAME else stem[:LONGEST_NAME].decode(errors="ignore")
+    return plain if plain.strip(". ") else "mesh"
 
 
 def _free_for(mesh: Path, folder: Path) -> bool:
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return True
-    return record_of(folder).get("mesh") == str(mesh.resolve())
+    return record_of(folder).get("mesh") == os.path.realpath(mesh)
 
 
 def write_grasps(

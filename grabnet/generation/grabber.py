@@ -45,7 +45,22 @@ ORIENTATIONS = ("upright", "fixed", "random")
 # penetration can depend on them, and they are most of the hand.
 _EXACT_WITHIN = 0.01
 _SETTINGS = ("batch_size", "n_turns", "optimise", "candidates", "optimiser", "ranking")
+MOST_HANDS = 1_000_000
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+
+
+def check_hands(n: int, candidates: int) -> None:
+    """Refuse more hands at once than memory holds.
+
+    Raises:
+        UserError: n times candidates is above `MOST_HANDS`.
+    """
+    if (hands := n * candidates) > MOST_HANDS:
+        size = hands * 778 * 3 * 4 / 1e9  # vertices in single precision
+        raise UserError(
+            f"n={n} with candidates={candidates} makes {hands:,} hands, whose vertices take {size:,.1f} GB; at most "
+            f"{MOST_HANDS:,} are made at once: ask for fewer."
+        )
 
 
 class Grabber(nn.Module):
@@ -181,6 +196,7 @@ class Grabber(nn.Module):
         asked.betas = betas.tolist() if isinstance(betas, Tensor) else betas
         in_range(asked, of=Grabber.forward)
         one_of(asked, side=SIDES, orientation=ORIENTATIONS)
+        check_hands(n, self.candidates)
         if table and orientation == "random":
             raise UserError("orientation is 'random', and table true: an object on a table is upright or fixed.")
         placed = load_object(mesh, scale, up, max_size, min_size, to_object)

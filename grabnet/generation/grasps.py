@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,6 +24,7 @@ from grabnet.geometry.rotations import matrix_to_axis_angle
 from grabnet.grasping import measures
 from grabnet.grasping.measures import GraspMeasures
 from grabnet.io.files import filling, write_json
+from grabnet.io.state import read_json
 
 RECORD = "grasps.json"
 # The files of a folder of results. The last one is written last: where it lies, the others are complete.
@@ -39,10 +39,9 @@ RESULTS = (
 def record_of(folder: Path) -> dict[str, Any]:
     """What a folder says of its results; empty where it says nothing."""
     try:
-        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        return read_json(folder / RECORD, {"mesh?": str}, "sample again")
+    except UserError:
         return {}
-    return record if isinstance(record, dict) else {}
 
 
 def has_results(folder: Path) -> bool:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict
 from pathlib import Path
 
 from grabnet.body.hand import HandModel
-from grabnet.cli.ends import say, told, unexpected
+from grabnet.cli.ends import note, say, told, unexpected
 from grabnet.cli.progress import track
 from grabnet.data.objects import MESH_SUFFIXES
 from grabnet.errors import UserError
@@ -50,7 +51,7 @@ def run(config: SamplingConfig) -> int:
         raise UserError(f"betas has {len(config.betas)} values; this hand model has {most}.")
     sheet = config.sheet
     if sheet and (reason := can_render()):
-        print(reason)
+        note(reason)
         sheet = 0
     record = {
         "networks": {
@@ -61,7 +62,7 @@ def run(config: SamplingConfig) -> int:
         "provenance": provenance(),
     }
     for kind, path in grabber.weights.items():
-        print(f"{kind}: {path}")
+        note(f"{kind}: {path}")
     grabber.to(usable_device(config.device))
     for file, folder in track(result_folders(files, Path(config.output).expanduser()).items(), "Sampling meshes"):
         try:
@@ -83,7 +84,7 @@ def run(config: SamplingConfig) -> int:
             about = {"name": file.name, "mesh": str(file.resolve()), "mesh_sha256": sha256(file)}
             contact = contact_maps(grasps, hand, config.contact) if config.contact_maps else None
             write_grasps(folder, grasps, about | record, listed(config.format), sheet, config.page, contact)
-            print(f"{file}: {grasps.summary()}; all is in {folder}")
+            note(f"{file}: {grasps.summary()}; all is in {folder}")
         except Exception as error:  # nothing that one mesh meets ends the others
             failures.append(str(told(error) or f"{file}: {unexpected(error)}"))
     for sentence in failures:
@@ -93,18 +94,19 @@ def run(config: SamplingConfig) -> int:
 
 def _mesh_files(named: list[str]) -> tuple[list[Path], list[str]]:
     """The mesh files named, those in the folders named, each once; and a sentence for each name that gives none."""
-    files: dict[Path, Path] = {}
+    files: dict[str, Path] = {}
     failures = []
     for name in named:
         try:
             path = existing(Path(name).expanduser(), "Mesh")
             inside = [path]
             if path.is_dir():
-                meshes = (p for p in path.iterdir() if p.suffix.lower() in MESH_SUFFIXES and p.is_file())
+                # Whatever they are: what cannot be read is reported.
+                meshes = (p for p in path.iterdir() if p.suffix.lower() in MESH_SUFFIXES)
                 inside = sorted(p for p in meshes if not is_hidden(p.name))
                 if not inside:
                     raise UserError(f"The folder {path} holds no mesh ({', '.join(MESH_SUFFIXES)}).")
-            files |= {p.resolve(): p for p in inside}
+            files |= {os.path.realpath(p): p for p in inside}  # of links to themselves, too
         except (UserError, OSError) as error:
             failures.append(str(told(error)))
     return list(files.values()), failures

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from grabnet.errors import UserError
+from grabnet.errors import UserError, printable
 from grabnet.geometry.formats.geometry import MAX_FACES
 from grabnet.geometry.formats.reading import read_geometry
 from grabnet.geometry.repair.mending import mended
@@ -135,7 +135,7 @@ def load_mesh(path: str | Path, weld: bool = True, mend: bool = True) -> Mesh:
     """Read a mesh as `read_mesh` does, with a warning that says what was mended."""
     mesh = read_mesh(path, weld, mend)
     if mesh.repairs:
-        warnings.warn(f"{path} was mended: {'; '.join(mesh.repairs)}.", stacklevel=2)
+        warnings.warn(printable(f"{path} was mended: {'; '.join(mesh.repairs)}."), stacklevel=2)
     return mesh
 
 

@@ -42,7 +42,7 @@ def opened_archive(path: str | Path, what: str, remedy: str) -> Iterator[zipfile
         remedy: what to do then; ends the sentence.
 
     Raises:
-        UserError: no regular file, or damaged.
+        UserError: no regular file, one that the system does not let read, or damaged.
     """
     path = existing_file(path, "Archive")
     try:
@@ -53,6 +53,8 @@ def opened_archive(path: str | Path, what: str, remedy: str) -> Iterator[zipfile
     except DAMAGE as error:
         raise UserError(f"{path} is {what} ({' '.join(str(error).split())[:200]}): {remedy}.") from None
     except OSError as error:
+        if error.filename == str(path):
+            raise UserError(f"{path} cannot be read ({error.strerror}).") from None
         if error.errno in DISK_ERRORS:  # of a place that is written to within the block
             raise
         raise UserError(f"{path} is {what} ({error.strerror or error}): {remedy}.") from None

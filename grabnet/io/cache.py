@@ -15,6 +15,7 @@ from typing import TypeVar
 
 from safetensors import SafetensorError
 
+from grabnet.errors import printable
 from grabnet.io.files import sha256, write_bytes
 from grabnet.io.litter import clear_litter
 
@@ -69,7 +70,7 @@ def read_cached(path: Path, decode: Callable[[bytes], Value]) -> Value | None:
             raise ValueError("its content is not what was written")
         return decode(content)
     except _DAMAGE as error:
-        warnings.warn(f"The cached {path} is damaged ({error}); it is built again.", stacklevel=3)
+        warnings.warn(printable(f"The cached {path} is damaged ({error}); it is built again."), stacklevel=3)
         return None
 
 
@@ -79,7 +80,7 @@ def write_cached(path: Path, content: bytes) -> None:
         clear_litter(path.parent, path.name)
         write_bytes(path, _line(path, content) + b"\n" + content)
     except OSError as error:
-        warnings.warn(f"{path} cannot be written ({error}): it is built again next time.", stacklevel=3)
+        warnings.warn(printable(f"{path} cannot be written ({error}): it is built again next time."), stacklevel=3)
 
 
 def _line(path: Path, content: bytes) -> bytes:

@@ -7,6 +7,10 @@ import re
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
+from grabnet.errors import printable
+
+# Bytes of a name that leave room, of the 255 that disks have, for what is added to make a temporary one of it.
+LONGEST_NAME = 240
 # Folders that systems add to archives and disks.
 _OF_SYSTEMS = {"__MACOSX"}
 _HIDDEN = re.compile(r"\.[^.]")
@@ -39,7 +43,7 @@ def originals(files: Iterable[Path], within: Path) -> list[Path]:
     there = sorted(file for file in files if not is_hidden(file.relative_to(within)))
     copies = [file for file in there if is_copy(file) or _numbered(file) in there]
     for file in copies:
-        log.warning("%s is left out: by its name it is a copy. Rename it if it is not.", file)
+        log.warning("%s is left out: by its name it is a copy. Rename it if it is not.", printable(str(file)))
     return [file for file in there if file not in copies]
 
 

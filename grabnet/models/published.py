@@ -78,8 +78,8 @@ class PublishedWeights:
                 if name in self.tensors and self.tensors[name].shape != value.shape
             ],
         }
-        if told := [f"{what} {', '.join(names)}" for what, names in faults.items() if names]:
-            raise UserError(f"{self.path} is no published {type(network).__name__}: it {'; it '.join(told)}.")
+        if said := [f"{what} {', '.join(names)}" for what, names in faults.items() if names]:
+            raise UserError(f"{self.path} is no published {type(network).__name__}: it {'; it '.join(said)}.")
         weights = {own: self.tensors[name] for name, own in ours.items()}
         if bad := [self._published(own) for own, value in weights.items() if not value.isfinite().all()]:
             raise UserError(f"{self.path} is no published {type(network).__name__}: its {bad[0]} is not finite.")

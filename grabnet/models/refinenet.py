@@ -20,7 +20,7 @@ _MAX_ITERATIONS = 100
 
 
 class RefineNet(SavedNetwork):
-    """Three residual iterations with shared weights; the hand is posed and measured anew between them.
+    """Three residual iterations with shared weights; the hand is posed and measured again between them.
 
     Args:
         hand: poses the estimate between iterations; it is not trained and not saved with the weights.

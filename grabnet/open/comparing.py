@@ -1,4 +1,4 @@
-"""Whether a body model built anew is the one that is shipped."""
+"""Whether a body model built again is the one that is shipped."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def compare_models(rebuilt: str | Path, shipped: str | Path) -> tuple[str, float
     """
     new, old = read_npz(rebuilt), read_npz(shipped)
     if new.keys() != old.keys():
-        raise UserError(f"{shipped} has the arrays {', '.join(sorted(old))}; built anew: {', '.join(sorted(new))}.")
+        raise UserError(f"{shipped} has the arrays {', '.join(sorted(old))}; built again: {', '.join(sorted(new))}.")
     differences = {name: _difference(np.asarray(new[name]), np.asarray(old[name])) for name in new}
     name = max(differences, key=differences.__getitem__)
     if differences[name] > TOLERANCE:

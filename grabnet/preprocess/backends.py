@@ -39,7 +39,7 @@ def machine_cores() -> int:
 def by_joblib(work: Work, names: Sequence[str], workers: int, max_deaths: int) -> Iterator[Outcome]:
     """Do the work for each name in processes of this machine; outcomes as they come.
 
-    When a process dies, what was not done goes on in new ones. Which of the names is to blame cannot be told where
+    When a process dies, what was not done goes on in new ones. Which of the names is to blame is not known where
     several are worked on at once: after a second death they are worked on one by one, and whichever has killed
     `max_deaths` processes alone has failed.
     """

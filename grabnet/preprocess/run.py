@@ -12,7 +12,6 @@ The data set's folder gets
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
@@ -20,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from grabnet.cli.checks import Concurrent, Count, Distance, Name, in_range, one_of
+from grabnet.cli.ends import note, say
 from grabnet.cli.progress import steps
 from grabnet.contact.rules import ContactRules
 from grabnet.data.frames import FORMAT as STORE_FORMAT
@@ -101,10 +101,10 @@ def run(config: PreprocessConfig) -> int:
         UserError: as `preprocess`.
     """
     failures = preprocess(config)
-    print(f"The data set is in {config.root}; {config.root / 'card.md'} describes it.")
+    note(f"The data set is in {config.root}; {config.root / 'card.md'} describes it.")
     if failures:
         where = config.root / "failures.json"
-        print(f"error: {len(failures)} recordings failed; why is in {where}.", file=sys.stderr)
+        say(f"{len(failures)} recordings failed; why is in {where}.")
     return 1 if failures else 0
 
 
@@ -154,7 +154,7 @@ def _work(config: PreprocessConfig, names: list[str], done: set[str]) -> Iterato
         for outcome in outcomes if left else ():
             counted.advance(about=outcome.name)
             if outcome.failure:
-                print(f"{outcome.name} failed: {outcome.failure}")
+                note(f"{outcome.name} failed: {outcome.failure}")
             yield outcome
 
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import os
 import socket
 import sys
-import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from grabnet.cli.ends import told, unexpected
 from grabnet.data.sources.base import write_frames
-from grabnet.errors import UserError, printable
+from grabnet.errors import printable
 from grabnet.preprocess.backends import Outcome
 from grabnet.preprocess.filtering import FrameFilter, frames_left
 from grabnet.preprocess.grasp_track import mirrored
@@ -50,13 +50,10 @@ class SequenceWork:
         failure = None
         try:
             self._write(name)
-        except UserError as error:
-            failure = str(error)
         except Exception as error:
             if isinstance(error, OSError) and error.errno and Path(error.filename or "").is_relative_to(self.store):
                 raise
-            at = [frame for frame in traceback.extract_tb(error.__traceback__) if "grabnet" in frame.filename][-1]
-            failure = printable(f"{type(error).__name__}: {error} ({Path(at.filename).name}, line {at.lineno})")
+            failure = str(told(error) or printable(unexpected(error)))
         return Outcome(name, failure, f"{socket.gethostname()}:{os.getpid()}", peak_memory())
 
     def _write(self, name: str) -> None:

@@ -49,6 +49,6 @@ class MedianPruning(L.Callback):
         best = best_epoch(own, self.objective)
         if best is not None and best[self.objective] <= median(reached):
             return None
-        told = f"{best[self.objective]:.4g}" if best else "never finite"
+        shown = f"{best[self.objective]:.4g}" if best else "never finite"
         compared = f"the median of {len(reached)} other runs is {median(reached):.4g}"
-        return f"{self.objective} is {told} after {n} epochs; {compared}."
+        return f"{self.objective} is {shown} after {n} epochs; {compared}."

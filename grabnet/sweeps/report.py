@@ -39,7 +39,7 @@ def report(runs: Sequence[Run], objective: str, folder: Path) -> None:
 
 
 def _keys(runs: Sequence[Run]) -> list[str]:
-    """Of the values that any run has: a search that was begun again may have widened or narrowed its space."""
+    """Of the values that any run has: a search that was started again may have widened or narrowed its space."""
     return list(dict.fromkeys(key for run in runs for key in run.values))
 
 
@@ -59,7 +59,7 @@ def row(run: Run, objective: str) -> Row:
 
 
 def _table(rows: Sequence[Row], runs: Sequence[Run]) -> Table:
-    """All columns but the reasons, which are too long and were told when they happened."""
+    """All columns but the reasons, which are too long and were printed when they happened."""
     table = Table(title=f"{len(runs)} runs in {runs[0].folder.parent}")
     names = [name for name in rows[0] if name not in ("folder", "reason")]
     for name in names:

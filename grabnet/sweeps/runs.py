@@ -15,7 +15,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from grabnet.errors import UserError
+from grabnet.errors import UserError, printable
 from grabnet.io.files import write_json
 from grabnet.io.state import read_json
 from grabnet.training.ending import METRICS, RunPruned
@@ -43,7 +43,7 @@ class Run:
 
     @property
     def status(self) -> str:
-        """done, pruned, failed, or unfinished: not begun, going on or killed."""
+        """done, pruned, failed, or unfinished: not started, going on or killed."""
         if (self.folder / METRICS).exists():
             return DONE
         return self._outcome().get("status", UNFINISHED)
@@ -74,8 +74,8 @@ class Run:
 def folder_name(overrides: Iterable[str], values: Mapping[str, str]) -> str:
     """A name that the same overrides, in any order, always get and no others: the swept values, then a hash of all."""
     # Where the sweep lies does not make it another one.
-    told = sorted(o for o in overrides if not o.startswith("sweep_dir="))
-    digest = hashlib.sha256("\n".join(told).encode()).hexdigest()[:6]
+    given = sorted(o for o in overrides if not o.startswith("sweep_dir="))
+    digest = hashlib.sha256("\n".join(given).encode()).hexdigest()[:6]
     readable = ",".join(f"{key.lstrip('+')}={value}" for key, value in values.items())
     return "-".join(part for part in (re.sub(r"[^\w.,=+-]", "_", readable)[:120], digest) if part)
 
@@ -93,7 +93,7 @@ class RecordOutcome(Callback):
         error = job_return._return_value  # its public twin would raise it
         if isinstance(error, RunPruned):
             status, reason = PRUNED, str(error)
-            log.info("%s pruned: %s", folder, reason)
+            log.info("%s pruned: %s", printable(str(folder)), reason)
         elif isinstance(error, UserError):
             status, reason = FAILED, str(error)
             log.error("%s failed: %s", folder, reason)

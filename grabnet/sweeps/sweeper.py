@@ -18,7 +18,7 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
 from grabnet.cli.ends import fail
-from grabnet.errors import UserError
+from grabnet.errors import UserError, printable
 from grabnet.sweeps.runs import FAILED, UNFINISHED, Run
 
 log = logging.getLogger(__name__)
@@ -73,7 +73,7 @@ class RunSweeper(Sweeper):
         """Launch those that are not settled, and wait for them."""
         waiting = [run for run in runs if not run.settled]
         if settled := len(runs) - len(waiting):
-            log.info("%d of %d runs are complete in %s.", settled, len(runs), self.folder)
+            log.info("%d of %d runs are complete in %s.", settled, len(runs), printable(str(self.folder)))
         if not waiting:
             return
         jobs: Any = [[*run.overrides, f"hydra.sweep.subdir='{run.folder.name}'"] for run in waiting]

@@ -12,7 +12,7 @@ import torch
 from lightning.fabric.plugins import TorchCheckpointIO
 from torch import Tensor
 
-from grabnet.errors import UserError
+from grabnet.errors import UserError, printable
 from grabnet.io import checkpoints
 from grabnet.io.files import replacing
 
@@ -84,7 +84,7 @@ def drop_damaged(whole: Path) -> None:
     """
     newer = whole.with_name(LAST)
     if whole.name != LAST and newer.exists():
-        log.warning("%s is damaged: going on from %s, the one before.", newer, whole.name)
+        log.warning("%s is damaged: going on from %s, the one before.", printable(str(newer)), whole.name)
         newer.unlink()
 
 

@@ -125,7 +125,7 @@ class SpeedMonitor(L.Callback):
                 torch.cuda.synchronize(pl_module.device)
             seconds = time.perf_counter() - self.start
             figures = {"speed/step_ms": 1000 * seconds / self.steps, "speed/frames_per_s": self.frames / seconds}
-            for logger in trainer.loggers:  # only told: no metric of the epoch, which would be another in every run
+            for logger in trainer.loggers:  # shown only: no metric of the epoch, as it differs from run to run
                 logger.log_metrics(figures | {"epoch": trainer.current_epoch}, step=trainer.global_step)
 
 

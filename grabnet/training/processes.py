@@ -37,7 +37,7 @@ def started_from_outside() -> bool:
 class OwnProcesses(LightningEnvironment):
     """The processes of a run on one machine, which the first of them, the user's, starts itself.
 
-    Lightning would give each the user's command line: a sweep would begin anew in each of them, and `${now:…}` would
+    Lightning would give each the user's command line: a sweep would begin again in each of them, and `${now:…}` would
     be another folder. Here they read the config that the first one wrote.
     """
 

@@ -1,6 +1,6 @@
 """One training run from config to weights: what `train.py` does.
 
-`python -m grabnet.training.run <config.yaml>` takes part in a run that another process has begun.
+`python -m grabnet.training.run <config.yaml>` takes part in a run that another process has started.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from grabnet.cli.ends import Stopped, in_sentences
 from grabnet.data.datamodule import GraspDataModule
-from grabnet.errors import UserError
+from grabnet.errors import UserError, printable
 from grabnet.io.files import naming, replacing, sha256, write_json
 from grabnet.io.litter import clear_litter
 from grabnet.io.locks import alone_in
@@ -44,7 +44,7 @@ log = logging.getLogger(__name__)
 PROVENANCE = "provenance.json"
 _PROVENANCE: Kind = {"made": str, "versions": {str: object}, "machine": str, "commit": (str, None)}
 _PROVENANCE |= {"trained_from": {str: object}, "earlier?": [{str: object}]}
-# What a run is begun with and cannot change when it goes on. How long it takes and what it tells can.
+# What a run is started with and cannot change when it goes on. How long it takes and what it tells can.
 _FIXED = ("hand_model", "data", "model", "seed", "objective")
 
 
@@ -60,7 +60,7 @@ def train(cfg: DictConfig) -> dict[str, float]:
         the metrics.
 
     Raises:
-        UserError: the training diverged or had no time, another one writes to the run folder, a begun run is to go on
+        UserError: the training diverged or had no time, another one writes to the run folder, a started run is to go on
             with other settings or has no checkpoint or record that can be read, or the trainer cannot be had or run as
             configured.
     """
@@ -125,7 +125,7 @@ def _fit(
             record |= _earlier(run_dir / PROVENANCE)
         write_json(run_dir / PROVENANCE, record)
     if resumed:
-        log.info("Going on from %s.", resumed)
+        log.info("Going on from %s.", printable(str(resumed)))
     config: Any = OmegaConf.to_container(cfg, resolve=True)
     for logger in trainer.loggers:
         logger.log_hyperparams(config)
@@ -154,7 +154,7 @@ def _fit(
         for folder, network in module.networks.items():
             save_network(run_dir / folder / FILE_NAME, network, record | {"config": config, "metrics": metrics})
         write_json(run_dir / METRICS, metrics)
-    log.info("Weights, metrics and logs are in %s.", run_dir)
+    log.info("Weights, metrics and logs are in %s.", printable(str(run_dir)))
     return metrics
 
 

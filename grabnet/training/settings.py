@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from grabnet.cli.checks import Name, Positive, Range, Seed, Weight, in_range, mismatch, one_of
+from grabnet.cli.checks import MOST_AT_ONCE, Name, Positive, Range, Seed, Weight, in_range, mismatch, one_of
 from grabnet.errors import UserError
 from grabnet.training.acceleration import PRECISIONS
 
@@ -17,11 +18,13 @@ _LIBRARIES = {
     "trainer.check_val_every_n_epoch": Annotated[int, Range(1)],
     "trainer.log_every_n_steps": Annotated[int, Range(0)],
     "trainer.num_sanity_val_steps": Annotated[int, Range(-1)],
+    "trainer.devices": Annotated[int, Range(-1, MOST_AT_ONCE)],  # -1: all
     "trainer.num_nodes": Annotated[int, Range(1)],
     "callbacks.early_stopping.patience": Annotated[int, Range(0)],
     "callbacks.checkpoint.every_n_epochs": Annotated[int, Range(1)],
     "callbacks.last.every_n_epochs": Annotated[int, Range(1)],
 }
+_DURATION = re.compile(r"\d+:\d\d:\d\d:\d\d", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,9 @@ class TrainingConfig:
             if found := mismatch(_value(self, key.split(".")), hint):
                 raise UserError(f"{key} is {found[0]!r}; it {found[1]}.")
         one_of(self, matmul_precision=PRECISIONS)
+        limit = _value(self, ["trainer", "max_time"])
+        if isinstance(limit, str) and not _DURATION.fullmatch(limit):
+            raise UserError(f"trainer.max_time is {limit!r}; it must be null or DD:HH:MM:SS, as in 00:12:00:00.")
 
 
 def _value(node: Any, path: list[str]) -> Any:

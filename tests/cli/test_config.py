@@ -13,6 +13,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from grabnet.cli.checking import check, refusal
+from grabnet.cli.ends import Stopped
 from grabnet.cli.entry import CONFIGS, compose
 from grabnet.commands.train import main
 from grabnet.errors import UserError
@@ -71,6 +72,20 @@ ROOT = Path(__file__).parents[2]
         ("objective=val(loss", "The argument objective=val(loss cannot be read: quote a value with special characters"),
         ("model.optimizer._target_=torch.optim.Nope", "model.optimizer._target_=torch.optim.Nope does not exist."),
         ("model.optimizer._target_=antigravitee.Adam", "model.optimizer._target_=antigravitee.Adam does not exist."),
+        ("seed=${oc.env:GRABNET_NO_SUCH}", "seed refers to what cannot be resolved (KeyError raised while resolving "),
+        ("trainer.devices=100000", "trainer.devices is 100000; it must be at most "),
+        ("trainer.max_time=abc", "trainer.max_time is 'abc'; it must be null or DD:HH:MM:SS, as in 00:12:00:00."),
+        (
+            "trainer.precision=x",
+            "it must be 64 or 32 or 16 or transformer-engine or transformer-engine-float16 or 16",
+        ),
+        ("trainer.precision=x", " or 64-true or bf16 or null."),
+        ("seed=${nothing}", "seed refers to what cannot be resolved (Interpolation key 'nothing' not found)"),
+        ("seed=${seed}", "seed refers to what cannot be resolved (Recursive interpolation detected)"),
+        (
+            "data.batch_size=${nothing:1}",
+            "data.batch_size refers to what cannot be resolved (Unsupported interpolation",
+        ),
     ],
 )
 def test_the_mistake_is_named(argument, sentence):
@@ -152,6 +167,23 @@ def test_values_are_held_against_the_signature(values, sentence):
     node = {"_target_": f"{__name__}.sample_target", **values}
     with pytest.raises(UserError, match=sentence):
         check(OmegaConf.create({"node": node}))
+
+
+@pytest.mark.parametrize(
+    ("line", "kind", "sentence"),
+    [
+        ("raise Stopped(15)", Stopped, "stopped by SIGTERM."),
+        ("raise MemoryError", UserError, "The memory does not suffice"),
+        ("open('/nowhere/x')", UserError, "/nowhere/x cannot be used (No such file or directory)"),
+        ("1 / 0", UserError, "_target_=raising.Adam cannot be imported (division by zero)."),
+    ],
+)
+def test_what_ends_an_import_is_said_as_it_is(line, kind, sentence, tmp_path, monkeypatch):
+    (tmp_path / "raising.py").write_text(f"from grabnet.cli.ends import Stopped\n{line}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(kind) as caught:
+        check(OmegaConf.create({"node": {"_target_": "raising.Adam"}}))
+    assert sentence in str(caught.value)
 
 
 def test_good_values_pass():

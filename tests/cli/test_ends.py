@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from grabnet.cli.ends import in_sentences, say, told, unexpected
+from grabnet.cli.ends import in_sentences, note, say, told, unexpected
 from grabnet.cli.entry import hydra_entry
 from grabnet.cli.places import refuse_unwritable
 from grabnet.commands import COMMANDS
@@ -162,7 +162,10 @@ def test_a_fault_within_a_command_is_told_as_such(monkeypatch, capsys):
 
 def test_nothing_in_a_sentence_steers_the_terminal(capsys):
     say("a\x1b[2Jb\rc\u202ed é")
-    assert capsys.readouterr().err == "error: a\\x1b[2Jb c\\u202ed é\n"
+    note("a\x1b[2Jb\rc\u202ed é")
+    out, err = capsys.readouterr()
+    assert err == "error: a\\x1b[2Jb c\\u202ed é\n"
+    assert out == "a\\x1b[2Jb\\rc\\u202ed é\n"
 
 
 SLEEPS = """

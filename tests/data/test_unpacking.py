@@ -203,3 +203,18 @@ def test_copies_and_what_systems_add_are_left_out(downloads, tmp_path):
     assert unpack(downloads, tmp_path / "GRAB") == []
     assert sorted(p.name for p in (tmp_path / "GRAB/grab").iterdir()) == ["s1", "s2"]
     assert [p.name for p in (tmp_path / "GRAB/grab/s2").iterdir()] == ["mug.npz"]
+
+
+def test_an_archive_that_may_not_be_read_does_not_stop_the_others(downloads, tmp_path, monkeypatch):
+    """As where its permissions forbid it, which they do not for root: it is gone when it is opened."""
+
+    class Gone(zipfile.ZipFile):
+        def __init__(self, path, *arguments):
+            if path.name == "grab__s1.zip":
+                path.unlink(missing_ok=True)
+            super().__init__(path, *arguments)
+
+    monkeypatch.setattr(zipfile, "ZipFile", Gone)
+    failures = unpack(downloads, tmp_path / "GRAB")
+    assert failures == [f"{downloads / 'grab__s1.zip'} cannot be read (No such file or directory)."]
+    assert sorted(path.name for path in tmp_path.glob("GRAB/**/*.ply")) == ["cup.ply", "mug.ply"]

@@ -11,10 +11,11 @@ from grabnet.body.hand import OPEN_HANDS, HandModel, HandParameters
 from grabnet.errors import UserError
 from grabnet.generation.export import result_folders, write_grasps
 from grabnet.generation.formats import FORMATS
-from grabnet.generation.grasps import Grasps
+from grabnet.generation.grasps import RECORD, Grasps, has_results, record_of
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.object_mesh import load_object
 from grabnet.geometry.rotations import axis_angle_to_matrix
+from grabnet.io.files import filling
 from grabnet.io.npz import read_npz
 from grabnet.visual.pictures import can_render
 
@@ -178,3 +179,18 @@ def test_what_lies_where_results_go_is_never_deleted(grasps, tmp_path):
     with pytest.raises(UserError, match="is not of earlier results"):
         grasps.first(1).save(tmp_path)
     assert {str(p.relative_to(tmp_path)): p.read_text() for p in tmp_path.rglob("*") if p.is_file()} == mine
+
+
+def test_folders_of_meshes_with_long_names_leave_room_for_temporary_ones(tmp_path):
+    meshes = [tmp_path / a / f"{'é' * 124}x.obj" for a in "ab"]
+    folders = [folder.name for folder in result_folders(meshes, tmp_path).values()]
+    assert folders == ["é" * 120, "é" * 120 + "-2"]
+    with filling(tmp_path / folders[1], ["grasps.json"], lambda _: True) as temporary:
+        (temporary / "grasps.json").touch()
+    assert (tmp_path / folders[1] / "grasps.json").exists()
+
+
+@pytest.mark.parametrize("text", ["[]", "[" * 100_000, "{", '{"mesh": 3, "grasps": [], "definitions": {}}', "\udcff"])
+def test_a_record_that_is_none_says_nothing(text, tmp_path):
+    (tmp_path / RECORD).write_bytes(text.encode(errors="surrogateescape"))
+    assert record_of(tmp_path) == {} and not has_results(tmp_path)

@@ -166,6 +166,21 @@ def test_a_folder_without_meshes_is_told(call, tmp_path, capsys):
     assert "holds no mesh" in capsys.readouterr().err
 
 
+def test_what_a_folder_holds_besides_mesh_files_is_said_by_name(call, tmp_path, capsys):
+    place = tmp_path / "meshes"
+    (place / "folder.obj").mkdir(parents=True)
+    (place / "loop.obj").symlink_to("loop.obj")
+    (place / ".hidden.obj").symlink_to("loop.obj")
+    os.mkfifo(place / "pipe.ply")
+    for name in ("folder", "loop", "pipe"):
+        (tmp_path / "out" / name / "mine").mkdir(parents=True)
+    assert call(mesh=str(place)) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 3
+    for name, line in zip(("folder.obj", "loop.obj", "pipe.ply"), lines, strict=True):
+        assert line.startswith("error: ") and str(place / name) in line and "Unexpected" not in line
+
+
 def test_a_name_of_dots_leads_nowhere_else(call, tmp_path):
     """`...obj` without its ending is the folder above: what lies there stays as it is."""
     mine = {"index.html": "mine", "grasps.json": "{}", "meshes/scan.obj": "mine", "out/notes.txt": "mine"}
@@ -199,6 +214,10 @@ def test_without_refinenet(call, folder, tmp_path, capsys):
     ("values", "said"),
     [
         ({"n": 0}, "n is 0"),
+        (
+            {"n": 500_001, "candidates": 2},
+            "n=500001 with candidates=2 makes 1,000,002 hands, whose vertices take",
+        ),
         ({"seed": -1}, "seed is -1"),
         ({"scale": 0.0}, "scale is 0"),
         ({"scale": float("nan")}, "scale is nan"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from pathlib import Path
 
 import pytest
 
@@ -35,4 +36,7 @@ def test_originals_are_what_is_left_in_order_and_copies_are_told(tmp_path, caplo
     with caplog.at_level(logging.WARNING):
         found = [file.name for file in originals(folder.iterdir(), folder)]
     assert found == ["cup 2.ply", "cup.npz", "jug 2.npz", "mug.npz"], "numbers beside no original stay"
-    assert sorted(r.args[0].name for r in caplog.records) == ["cup (1).npz", "mug 2.npz", "mug(3).npz"]
+    assert sorted(Path(r.args[0]).name for r in caplog.records) == ["cup (1).npz", "mug 2.npz", "mug(3).npz"]
+    (folder / "a\x1b[2J (1).npz").touch()
+    originals(folder.iterdir(), folder)
+    assert "\\x1b[2J (1).npz is left out" in caplog.text and "\x1b" not in caplog.text

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -39,11 +40,17 @@ def _silent_stderr() -> Iterator[None]:
         os.close(nowhere)
 
 
+def _user_cache() -> Path:
+    """Where warp's folder lies, unless WARP_CACHE_PATH names one."""
+    return Path(os.environ.get("XDG_CACHE_HOME", os.path.expanduser("~")))  # noqa: PTH111, "~": there is no home
+
+
 def _start_warp() -> None:
     """Start warp, with its kernels in a temporary folder where the user's cache cannot be written to."""
     wp.config.log_level = wp.LOG_WARNING
     usable = False
-    if "WARP_CACHE_PATH" in os.environ or os.path.expanduser("~") != "~":  # noqa: PTH111, "~": there is no home
+    named = os.environ.get("WARP_CACHE_PATH")
+    if named or (named is None and _user_cache().is_absolute()):  # else it would lie in the current folder
         with suppress(OSError), _silent_stderr():  # on a machine without an NVIDIA driver warp says so at every start
             wp.init()
             usable = os.access(wp.config.kernel_cache_dir, os.W_OK)
@@ -52,7 +59,7 @@ def _start_warp() -> None:
     folder = tempfile.mkdtemp(prefix="grabnet-kernels-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     warnings.warn(
-        "The user's cache folder cannot be written to: compiled kernels are kept in a temporary one. Name one that can "
+        "The user's cache folder cannot be used: compiled kernels are kept in a temporary one. Name one that can "
         "in the environment, as WARP_CACHE_PATH and GRABNET_CACHE, to save half a minute at each start.",
         stacklevel=2,
     )
@@ -73,7 +80,7 @@ def launch(kernel: wp.Kernel, items: Sequence[Tensor], constants: Sequence[Any],
         width: of each item, where an item is a row of work. The kernel's first argument is then the number of lanes,
             threads that share a row: many on a GPU, one on a CPU.
     """
-    items = [x.detach() for x in items]  # pieces of what wants a gradient would want one in other threads
+    items = [x.detach() for x in items]  # pieces of what needs a gradient would need one in other threads
     first = items[0]
     device = wp.device_from_torch(first.device)
     kernel.module.load(device)  # compiled before threads could race for it

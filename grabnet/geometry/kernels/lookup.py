@@ -2,7 +2,7 @@
 
 A thread takes one row of points after the other, each row all around one object: what it reads of the table stays in
 the cache, and where the table lies is looked up once. The loop over a row is C++ without branches, since warp's own
-cannot be told that points do not depend on each other: on a CPU sixteen points are looked up at once.
+cannot know that points do not depend on each other: on a CPU sixteen points are looked up at once.
 """
 
 import warp as wp

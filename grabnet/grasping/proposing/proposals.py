@@ -23,7 +23,7 @@ class ProposalConfig:
     """Lengths in metres."""
 
     per_slot: int = 8  # candidates of one kind on one part, of which the best is taken
-    spare: float = 1.25  # slots made per one wanted; the worst are dropped
+    spare: float = 1.25  # slots made per one that is asked for; the worst are dropped
     on_table: float = 0.5  # share that must clear the table
     reach: float = 0.10  # thickness is sought up to this deep
     full_width: float = 0.9  # share that spans the whole object, not its nearest wall

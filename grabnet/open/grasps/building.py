@@ -13,6 +13,7 @@ from rich.table import Table
 from torch import Tensor
 
 from grabnet.body.hand import OPEN_HANDS
+from grabnet.cli.ends import note
 from grabnet.cli.progress import track
 from grabnet.errors import UserError
 from grabnet.geometry.rotations import matrix_to_axis_angle
@@ -52,13 +53,11 @@ def build_grasps(
         objects: names; all when omitted.
 
     Raises:
-        UserError: unknown object, numbers that ask for nothing, or no MuJoCo.
+        UserError: unknown object, or no MuJoCo.
     """
     names = list(objects or OBJECTS)
     if unknown := sorted(set(names) - set(OBJECTS)):
         raise UserError(f"There is no open object {', '.join(unknown)}; choose from {', '.join(OBJECTS)}.")
-    if per_object < 1 or processes < 1:
-        raise UserError(f"--per-object {per_object} and --processes {processes} must be at least 1.")
     if importlib.util.find_spec("mujoco") is None:
         raise UserError('Grasps are checked in MuJoCo, which is not installed: pip install "grabnet[evaluation]".')
     config = SynthesisConfig(per_object=per_object)
@@ -69,7 +68,7 @@ def build_grasps(
         print(f"{done.name}: {row['grasps']} grasps, {row['accepted']:.0%} accepted, {row['stable']:.0%} stable")
     grasps = write_asset(Path(path), found, subject_betas(config, seed), config, seed)
     Console().print(_table(found))
-    print(f"Wrote {len(grasps)} grasps of {len(found)} objects to {path}.")
+    note(f"Wrote {len(grasps)} grasps of {len(found)} objects to {path}.")
     return grasps
 
 

@@ -15,7 +15,7 @@ THUMB = slice(13, 16)
 def move_knuckles(
     hands: FlatHands, proximal: float = 0.010, dorsal: float = 0.0025, blend: tuple[float, float] = (0.009, 0.013)
 ) -> FlatHands:
-    """Move the four knuckle joints towards the wrist and solve the skin weights around them anew.
+    """Move the four knuckle joints towards the wrist and solve the skin weights around them again.
 
     A vertex follows a finger by (which finger) × (how far beyond its knuckle). Which finger: one-hot on the shafts, and
     the harmonic function on the mesh between them, so the webs and the palm pass smoothly from finger to finger.

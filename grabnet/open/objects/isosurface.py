@@ -208,7 +208,7 @@ def _flipped(vertices: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
     wanted = np.flatnonzero((gain > 1e-6) & flat & ~exists & (k != m))
     if not len(wanted):
         return faces
-    # An edge goes ahead when it has the largest gain of all wanted edges at either of its triangles and its vertices.
+    # An edge goes ahead when it has the largest gain of all candidates at either of its triangles and its vertices.
     rank = np.empty(len(wanted), int)
     rank[np.argsort(-gain[wanted], kind="stable")] = np.arange(len(wanted))
     best = np.full(len(vertices), len(wanted))

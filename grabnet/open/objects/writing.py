@@ -29,13 +29,8 @@ def write_objects(root: str | Path, processes: int = 2) -> list[Path]:
 
     Returns:
         the path of each mesh, in the order of `OBJECTS`.
-
-    Raises:
-        UserError: `processes` is less than 1.
     """
     root = Path(root)
-    if processes < 1:
-        raise UserError(f"processes is {processes}; objects are meshed by at least 1.")
     (root / OBJECT_MESHES).mkdir(parents=True, exist_ok=True)
     facts = provenance(format=FORMAT)
     written = _up_to_date(root)

@@ -16,6 +16,7 @@ import torch
 
 from grabnet.body.hand import HandModel
 from grabnet.body.whole import OPEN_BODY, BodyModel
+from grabnet.cli.ends import note
 from grabnet.cli.progress import steps
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import write_sequence
@@ -128,7 +129,7 @@ def build_sequences(
         reports=reports,
     )
     write_json(root / "sequences.json", summary)
-    print(f"Wrote {made} sequences, {summary['frames']} frames, to {root / 'grab'}.")
+    note(f"Wrote {made} sequences, {summary['frames']} frames, to {root / 'grab'}.")
 
 
 def schedule(grasps: OpenGrasps, number: int, seed: int, subjects: Sequence[str]) -> list[Entry]:

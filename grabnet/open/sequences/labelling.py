@@ -23,7 +23,7 @@ _MOVED = 0.00005  # metres: a frame in which nothing near the object has moved b
 def with_contact(sequence: Sequence, actor: Actor, prop: StageProp) -> Sequence:
     """The sequence with labels as `grabnet.contact.sequences.annotate` finds them.
 
-    A hand that holds an object keeps its place on it; labels are sought anew when anything near the object moves.
+    A hand that holds an object keeps its place on it; labels are sought again when anything near the object moves.
     """
     annotator = body_annotator(actor.body, actor.subject.v_template, prop.mesh, CONTACT_DISTANCE, ContactRules())
     low, high = prop.mesh.bounds[0] - _NEAR, prop.mesh.bounds[1] + _NEAR
