@@ -12,10 +12,15 @@ from grabnet.errors import printable
 # Bytes of a name that leave room, of the 255 that disks have, for what is added to make a temporary one of it.
 LONGEST_NAME = 240
 # Folders that systems add to archives and disks.
-_OF_SYSTEMS = {"__MACOSX"}
-_HIDDEN = re.compile(r"\.[^.]")
-# "mug (1)", "mug copy", "mug copy 2", "mug - Copy", "mug - Copy (2)", "mug (copy)", "Copy of mug".
-_COPY = re.compile(r".+( \(\d{1,3}\)| ?\(copy( \d+)?\)|( -)? copy( \d+)?| - copy \(\d+\))|copy of .+", re.IGNORECASE)
+_OF_SYSTEMS = {"__MACOSX", "@eaDir"}
+_HIDDEN = re.compile(r"\.(?!\.?\Z)")
+_WORD = r"(copy|kopie|copie|copia|cópia)"
+_COPY = re.compile(
+    rf".+( \(\d{{1,3}}\)| ?\({_WORD}( \d+)?\)|( -)? {_WORD}( \d+)?| - {_WORD} \(\d+\))"  # mug (1), mug copy 2
+    rf"|.+ \((another|\d+(st|nd|rd|th)) copy\)|{_WORD}( \(\d+\))? (of|von|van|de|di) .+"  # mug (3rd copy), Copy of mug
+    r"|.+conflicted copy.*|.+\.sync-conflict-.+",  # what programs that synchronise folders keep beside the original
+    re.IGNORECASE,
+)
 # "mug 2", "mug(1)": copies where there is a mug beside them.
 _NUMBERED = re.compile(r"(.+?)(?: \d{1,3}|\(\d{1,3}\))")
 

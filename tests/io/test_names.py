@@ -10,7 +10,20 @@ import pytest
 from grabnet.io.names import is_copy, is_hidden, originals
 
 COPIES = ["mug (1)", "mug copy", "mug copy 2", "mug - Copy", "mug - Copy (2)", "mug (copy)", "Copy of mug"]
-OTHERS = ["mug", "mug_pass_1", "mug(1)", "mug 2", "mug_copy_1", "copycat", "photocopy", "grab__s1"]
+COPIES += ["mug (another copy)", "mug (3rd copy)", "Copy (2) of mug", "mug - Kopie", "mug - Kopie (2)", "Kopie von mug"]
+COPIES += ["mug (Ann's conflicted copy 2024-05-01)", "mug conflicted copy", "mug.sync-conflict-20240501-101010-ABCDEFG"]
+OTHERS = [
+    "mug",
+    "mug_pass_1",
+    "mug(1)",
+    "mug 2",
+    "mug_copy_1",
+    "copycat",
+    "photocopy",
+    "grab__s1",
+    "mug_kopie",
+    "s1 (3rd)",
+]
 
 
 @pytest.mark.parametrize("stem", COPIES)
@@ -24,7 +37,9 @@ def test_other_names_are_not_copies(stem):
 
 
 def test_hidden_files_are_known_by_any_part_of_their_path():
-    assert [is_hidden(n) for n in ("._a.npz", "__MACOSX/a", "a/.b/c", ".DS_Store", "a\\._b")] == [True] * 5
+    assert [
+        is_hidden(n) for n in ("._a.npz", "__MACOSX/a", "a/.b/c", ".DS_Store", "a\\._b", "..x.npz", "@eaDir/a")
+    ] == [True] * 7
     assert [is_hidden(n) for n in ("a/b", "../a", ".", "./a", "a._b")] == [False] * 5
 
 

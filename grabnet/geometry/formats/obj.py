@@ -10,7 +10,9 @@ from grabnet.geometry.formats.geometry import FormatError, Geometry, triangulate
 from grabnet.geometry.formats.text import decoded, floats, integers
 
 _COMMENT = re.compile(r"#[^\n]*")  # taken out first: one that ends in a backslash does not go on
-_CONTINUED = re.compile(r"\\[ \t]*\n")
+_BREAK = re.compile(r"\\[ \t]*\n")
+# Statements of numbers that go on below; a name or path may end in a backslash.
+_CONTINUED = re.compile(r"^[ \t]*(?:v[nt]?|fo?|l|p)(?=[ \t\\])(?:[^\n]*\\[ \t]*\n)+", re.MULTILINE)
 # Statements that make or fetch surfaces which are neither vertices nor polygons.
 _NOT_READ = {"surf", "curv", "bzp", "bsp", "cdc", "cdp", "res", "call"}
 
@@ -26,7 +28,7 @@ def read(data: bytes) -> Geometry:
     if "#" in text:
         text = _COMMENT.sub("", text)
     if "\\" in text:
-        text = _CONTINUED.sub(" ", text)
+        text = _CONTINUED.sub(lambda found: _BREAK.sub(" ", found[0]), text)
     coordinates: list[str] = []
     corners: list[int] = []
     counts: list[int] = []

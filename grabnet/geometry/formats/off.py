@@ -24,16 +24,16 @@ def read(data: bytes) -> Geometry:
         text = text[header.end() :]
         if header[4]:
             raise FormatError("OFF BINARY is not read: export it as ASCII")
-        if header[2] or header[3]:
+        if header[2] or header[3] or "nOFF" in header[0]:  # as it is written; other cases are of normals
             raise FormatError(f"{header[0].strip()} has other than three coordinates a vertex: export it as OFF")
     plain = header is None or header[0].strip().upper() == "OFF"
     lines = [words for line in text.split("\n") if (words := line.split())]
-    if not lines or len(lines[0]) < 2 or not all(word.isdecimal() for word in lines[0][:2]):
+    counts, rows = _counts(lines)
+    if len(counts) < 2 or not all(word.isdecimal() for word in counts[:2]):
         raise FormatError("no numbers of vertices and faces follow its header")
-    n_vertices, n_faces = integers(lines[0][:2], "the header")
-    rows = lines[1:]
-    if plain and len(rows) < n_vertices + n_faces:
-        return _unbroken(lines[0][3:] + [word for row in rows for word in row], n_vertices, n_faces)
+    n_vertices, n_faces = integers(counts[:2], "the header")
+    if plain and (len(rows) < n_vertices + n_faces or all(len(row) == 1 for row in rows)):
+        return _unbroken(counts[3:] + [word for row in rows for word in row], n_vertices, n_faces)
     if len(rows) < n_vertices + n_faces:
         raise FormatError(f"it ends before its {n_vertices} vertices and {n_faces} faces: export it again")
     if any(len(row) < 3 for row in rows[:n_vertices]):
@@ -46,6 +46,15 @@ def read(data: bytes) -> Geometry:
             raise FormatError(f"face {i} has fewer than its {size} corners: export it again")
         polygons.append(integers(row[1 : 1 + size], f"face {i}"))
     return triangulated(vertices, *gathered(polygons))
+
+
+def _counts(lines: list[list[str]]) -> tuple[list[str], list[list[str]]]:
+    """Words of the lines with the numbers of vertices, faces and, often, edges, and the lines that follow."""
+    counts, n = [], 0
+    while n < len(lines) and (len(counts) < 2 or (len(counts) == 2 and len(lines[n]) == 1)):
+        counts += lines[n]
+        n += 1
+    return counts, lines[n:]
 
 
 def _unbroken(words: list[str], n_vertices: int, n_faces: int) -> Geometry:

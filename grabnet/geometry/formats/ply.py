@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
 import numpy as np
 
 from grabnet.geometry.formats.geometry import FormatError, Geometry, gathered, triangulated
+from grabnet.geometry.formats.text import decoded, is_number
 
 _KINDS = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"}
 _KINDS |= {"double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}
 _KINDS |= {"float32": "f4", "float64": "f8", "int64": "i8", "uint64": "u8"}
 _ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
+# What ends the header. After lines that end in a CR alone, a binary body may well start with an LF.
+_END = re.compile(rb"(?:(\r\n|\n)|\r)end_header[ \t]*(?(1)(?:\r\n|\n|\r|\Z)|(?:\r|\n|\Z))")
 _CORNERS = ("vertex_indices", "vertex_index")
 
 
@@ -27,6 +31,10 @@ class _Element(NamedTuple):
     properties: list[_Property]
 
 
+class _EndedError(FormatError):
+    """A body that is shorter than its elements."""
+
+
 def read(data: bytes) -> Geometry:
     """Every polygon and strip of the file; other elements, colours and bytes after the last element are passed over.
 
@@ -34,15 +42,34 @@ def read(data: bytes) -> Geometry:
         FormatError: no PLY header, an unknown kind of number, ended early, words for numbers, no coordinates.
     """
     data = data.removeprefix(b"\xef\xbb\xbf")
+    if not data.startswith(b"ply"):
+        data = decoded(data).encode("latin-1", "replace")
     lines, body = _header(data)
     order, elements = _parsed(lines)
-    if lines[0][1:2] == ["ascii"]:
-        try:
-            body = np.array(body.split(), np.float64).tobytes()
-        except ValueError:
-            raise FormatError("it has words where numbers are due: export it again") from None
-        eight = [[p._replace(kind="f8", count=p.count and "f8") for p in e.properties] for e in elements]
-        elements = [e._replace(properties=p) for e, p in zip(elements, eight, strict=True)]
+    if lines[0][1:2] != ["ascii"]:
+        return _geometry(body, order, elements)
+    words = body.split()
+    numbers = _leading_numbers(words)
+    eight = [[p._replace(kind="f8", count=p.count and "f8") for p in e.properties] for e in elements]
+    elements = [e._replace(properties=p) for e, p in zip(elements, eight, strict=True)]
+    try:
+        return _geometry(numbers.tobytes(), order, elements)
+    except _EndedError:
+        if len(numbers) == len(words):
+            raise
+        raise FormatError("it has words where numbers are due: export it again") from None
+
+
+def _leading_numbers(words: list[bytes]) -> np.ndarray:
+    """(N,) float64 numbers up to the first word that is none."""
+    try:
+        return np.array(words, np.float64)
+    except ValueError:
+        return np.array(words[: next(i for i, word in enumerate(words) if not is_number(word, float))], np.float64)
+
+
+def _geometry(body: bytes, order: str, elements: list[_Element]) -> Geometry:
+    """Vertices and triangles of elements whose values follow each other in a body."""
     vertices, counts, corners = np.zeros((0, 3)), [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
     at = 0
     for element in elements:
@@ -65,17 +92,14 @@ def read(data: bytes) -> Geometry:
 
 def _header(data: bytes) -> tuple[list[list[str]], bytes]:
     """Words of the header's lines after the first, without comments, and what follows it."""
-    # Its first line says how lines end: after a CR alone a binary body may well start with an LF.
-    newline = next((e for e in (b"\r\n", b"\n", b"\r") if data[3:].lstrip(b" \t").startswith(e)), None)
-    if not data.startswith(b"ply") or newline is None:
+    if not re.match(rb"ply[ \t]*[\r\n]", data):
         raise FormatError("it does not start with ply")
-    end = data.find(newline + b"end_header")
-    if end < 0:
+    end = _END.search(data)
+    if end is None:
         raise FormatError("its header has no end")
-    body = data.find(newline, end + len(newline))
-    lines = [line.split() for line in data[:end].decode("latin-1").split(newline.decode())[1:]]
+    lines = [line.split() for line in re.split(r"[\r\n]", data[: end.start()].decode("latin-1"))[1:]]
     lines = [words for words in lines if words and words[0] not in ("comment", "obj_info")]
-    return lines, data[body + len(newline) :] if body >= 0 else b""
+    return lines, data[end.end() :]
 
 
 def _parsed(lines: list[list[str]]) -> tuple[str, list[_Element]]:
@@ -161,7 +185,7 @@ def _uneven(body: bytes, at: int, element: _Element, order: str) -> tuple[dict[s
 
 def _check_within(body: bytes, end: int, element: _Element) -> None:
     if end > len(body):
-        raise FormatError(f"it ends before its {element.number} of {element.name}: export it again")
+        raise _EndedError(f"it ends before its {element.number} of {element.name}: export it again")
 
 
 def _strips(counts: np.ndarray, corners: np.ndarray) -> list[list[int]]:

@@ -30,7 +30,7 @@ _OBJ_LINES = re.compile(rb"^[ \t]*(v|f)[ \t]+[-+.\d]", re.MULTILINE)
 # Content that tells its format; the first that fits counts.
 _LOOKS_LIKE: dict[str, Callable[[bytes], object]] = {
     ".glb": lambda data: data.startswith(b"glTF"),
-    ".ply": lambda data: data.startswith(b"ply"),
+    ".ply": lambda data: decoded(data[:100]).startswith("ply"),
     ".stl": lambda data: stl.is_binary(data) or stl.is_ascii(data),
     ".gltf": lambda data: data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"),
     ".off": lambda data: off.HEADER.match(decoded(data[:100]).lstrip()),

@@ -39,7 +39,7 @@ def floats(words: list[str], where: str) -> np.ndarray:
     try:
         return np.array(words, np.float64)
     except ValueError:
-        word = next(word for word in words if not _is_number(word, float))
+        word = next(word for word in words if not is_number(word, float))
         raise FormatError(f"{where} has {word[:40]!r} where a number is due: export it again") from None
 
 
@@ -52,11 +52,12 @@ def integers(words: list[str], where: str) -> list[int]:
     try:
         return list(map(int, words))
     except ValueError:
-        word = next(word for word in words if not _is_number(word, int))
+        word = next(word for word in words if not is_number(word, int))
         raise FormatError(f"{where} has {word[:40]!r} where a whole number is due: export it again") from None
 
 
-def _is_number(word: str, kind: type[float] | type[int]) -> bool:
+def is_number(word: str | bytes, kind: type[float] | type[int]) -> bool:
+    """Whether a word is a number of a kind."""
     try:
         kind(word)
     except ValueError:

@@ -76,6 +76,29 @@ def test_strips_turn_every_other_triangle_and_start_again_at_minus_one():
     assert read(text.encode()).faces.tolist() == [[0, 1, 2], [2, 1, 3], [2, 3, 4]]
 
 
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
+def test_lines_may_end_in_several_ways(form):
+    header, body = written(form).split(b"end_header\n")
+    crlf = header.replace(b"\n", b"\r\n")
+    for data in (
+        header.replace(b"\n", b"\r\n", 1) + b"end_header\n",
+        crlf + b"end_header\n",
+        crlf + b"end_header \r\n",
+        header + b"end_header\r\n",
+    ):
+        vertices, faces = read(data + body)
+        np.testing.assert_array_equal(vertices, PLACES)
+        assert len(faces) == 3
+
+
+@pytest.mark.parametrize("tail", ["\x1a", "comment made by hand\n", "# 1 2\n"])
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-be"])
+def test_text_in_any_encoding_and_with_more_behind_it(tail, encoding):
+    vertices, faces = read((written("ascii").decode() + tail).encode(encoding))
+    np.testing.assert_array_equal(vertices, PLACES)
+    assert len(faces) == 3
+
+
 def test_a_binary_body_may_begin_like_a_line_end():
     """After a CR alone, the first byte of the data is an LF."""
     data = trimesh.creation.box((1, 1, 1)).export(file_type="ply")
