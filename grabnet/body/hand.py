@@ -81,8 +81,8 @@ class HandModel(SkinnedModel):
         if wrong.any():
             self.shapedirs[:, 0, wrong] *= -1
             warnings.warn(
-                f"{printable(str(path))}: {int(wrong.sum())} of its {len(wrong)} shape directions have the right hand's "
-                "sign in x, as in the published MANO_LEFT; they are mirrored here.",
+                f"{printable(str(path))}: {int(wrong.sum())} of its {len(wrong)} shape directions have the right "
+                "hand's sign in x, as in the published MANO_LEFT; they are mirrored here.",
                 stacklevel=3,
             )
 
