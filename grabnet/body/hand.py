@@ -13,6 +13,7 @@ from torch import Tensor
 from grabnet.body.left_hand import unmirrored
 from grabnet.body.loading import HAND_SHAPES
 from grabnet.body.skinned import SkinnedModel, blended
+from grabnet.errors import printable
 from grabnet.io.files import sha256
 from grabnet.io.shipped import shipped
 
@@ -80,8 +81,8 @@ class HandModel(SkinnedModel):
         if wrong.any():
             self.shapedirs[:, 0, wrong] *= -1
             warnings.warn(
-                f"{path}: {int(wrong.sum())} of its {len(wrong)} shape directions have the right hand's sign in x, as "
-                "in the published MANO_LEFT; they are mirrored here.",
+                f"{printable(str(path))}: {int(wrong.sum())} of its {len(wrong)} shape directions have the right "
+                "hand's sign in x, as in the published MANO_LEFT; they are mirrored here.",
                 stacklevel=3,
             )
 
