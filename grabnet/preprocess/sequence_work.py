@@ -6,6 +6,7 @@ import os
 import socket
 import sys
 import traceback
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,17 +48,7 @@ class SequenceWork:
             OSError: the store cannot be written to.
         """
         torch.set_num_threads(self.threads)
-        failure = None
-        try:
-            self._write(name)
-        except UserError as error:
-            failure = str(error)
-        except Exception as error:
-            if isinstance(error, OSError) and error.errno and Path(error.filename or "").is_relative_to(self.store):
-                raise
-            at = [frame for frame in traceback.extract_tb(error.__traceback__) if "grabnet" in frame.filename][-1]
-            failure = printable(f"{type(error).__name__}: {error} ({Path(at.filename).name}, line {at.lineno})")
-        return Outcome(name, failure, f"{socket.gethostname()}:{os.getpid()}", peak_memory())
+        return outcome_of(name, self.store, lambda: self._write(name))
 
     def _write(self, name: str) -> None:
         recording = self.recordings.read(name)
@@ -79,6 +70,25 @@ class SequenceWork:
                 counts=({} if track.is_mirrored else counts)
                 | {"waterfall": frames_left(passed), "fingers": finger_counts(track.labels[kept])},
             )
+
+
+def outcome_of(name: str, folder: Path, work: Callable[[], None]) -> Outcome:
+    """How work on a recording, which writes to a folder, ends: what is wrong with the recording becomes a sentence.
+
+    Raises:
+        OSError: the folder cannot be written to.
+    """
+    failure = None
+    try:
+        work()
+    except UserError as error:
+        failure = str(error)
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno and Path(error.filename or "").is_relative_to(folder):
+            raise
+        at = [frame for frame in traceback.extract_tb(error.__traceback__) if "grabnet" in frame.filename][-1]
+        failure = printable(f"{type(error).__name__}: {error} ({Path(at.filename).name}, line {at.lineno})")
+    return Outcome(name, failure, f"{socket.gethostname()}:{os.getpid()}", peak_memory())
 
 
 def peak_memory() -> int:
