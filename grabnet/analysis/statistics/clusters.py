@@ -40,8 +40,8 @@ class Clusters(Statistic):
     title = "Clusters of grasps"
     about = (
         "k-means of the right hand's vertices in the object's frame, over a sample of the contact frames that it takes "
-        "part in; shown, with the number of grasps, is the grasp nearest to each centre, the largest cluster first. A cluster touches markers where "
-        "that hand is within 4.5 mm of one (●; paper S.10)."
+        "part in; shown, with the number of grasps, is the grasp nearest to each centre, the largest cluster first. A "
+        "cluster touches markers where that hand is within 4.5 mm of one (●; paper S.10)."
     )
 
     def __init__(self, rules: Rules):

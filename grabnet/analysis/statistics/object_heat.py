@@ -21,7 +21,7 @@ class ObjectHeat(Statistic):
 
     name = "object_heat"
     title = "Contact on objects"
-    about = "Likelihood that a vertex of an object is touched, over all contact frames with it, by intent (paper Fig. 5, 6)."
+    about = "Likelihood that a vertex of an object is touched in a contact frame with it, by intent (paper Fig. 5, 6)."
 
     def add(self, frames: Frames) -> None:
         contact = frames.contact_frames(self.rules.min_lift, self.rules.min_body_vertices)

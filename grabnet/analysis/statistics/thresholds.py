@@ -12,6 +12,8 @@ from grabnet.analysis.frames import WHO as _WHO
 from grabnet.analysis.plots import COLOURS, legend, panels
 from grabnet.analysis.statistic import Analysed, Row, Statistic
 
+_COLOURS = (*COLOURS, "#8a5a9e", "#3b8f9c", "#7a6a53", "#28323c", "#98a2ad")
+
 
 class Thresholds(Statistic):
     """Contact shares for each lift H of the object and each number C of object vertices that make a finger touch."""
@@ -60,10 +62,8 @@ class Thresholds(Statistic):
             for here, (along, (other, at)) in zip(line, fixed.items(), strict=True):
                 for k, part in enumerate(parts):
                     chosen = [row for row in rows if row[other] in at]
-                    here.plot(
-                        [row[along] for row in chosen], [row[f"{part} [%]"] for row in chosen], marker="o", markersize=3,
-                        color=(*COLOURS, "#8a5a9e", "#3b8f9c", "#7a6a53", "#28323c", "#98a2ad")[k], label=part,
-                    )  # fmt: skip
+                    places, values = [row[along] for row in chosen], [row[f"{part} [%]"] for row in chosen]
+                    here.plot(places, values, "o-", markersize=3, color=_COLOURS[k], label=part)
                 here.set_ylim(-3, 103)
                 here.set_ylabel("% of contact frames")
                 unit = "H, least lift of the object, mm" if along == "H [mm]" else "C, least object vertices per part"
