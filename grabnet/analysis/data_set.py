@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -74,6 +74,7 @@ class DataSet(ABC):
     def objects(self) -> Mapping[str, Path]:
         """Mesh file of each object."""
 
+    @property
     @abstractmethod
     def surface(self) -> Surface:
         """The body; its vertices are numbered as in `Frames.body`."""
@@ -119,6 +120,7 @@ class Recordings(GrabRecordings, DataSet):
         )
         return frames, recording.inputs
 
+    @cached_property
     def surface(self) -> Surface:
         template = next(iter(sorted((self.folder / "tools/subject_meshes").glob("*/s*[0-9].ply"))), None)
         if template is None:

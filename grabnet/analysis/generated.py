@@ -86,7 +86,7 @@ class GeneratedGrasps(DataSet):
                 f"{self.folder / name} holds hands of {found.vertices.shape[1]} vertices, the hand model has "
                 f"{len(hand.v_template)}: their fingers are unknown."
             )
-        mesh, parts = load_mesh(file, weld=False), self.surface().parts
+        mesh, parts = load_mesh(file, weld=False), self.surface.parts
         annotate = HandAnnotator(
             mesh,
             found.vertices[0],
@@ -111,6 +111,7 @@ class GeneratedGrasps(DataSet):
         read = {str(path.relative_to(self.folder)): sha256(path) for path in files}
         return frames, read | {str(file.resolve()): sha256(file)}
 
+    @cached_property
     def surface(self) -> Surface:
         hand = self.hand()
         parts = np.array(RIGHT_HAND_PARTS, np.uint8)[Anatomy.of(hand).bone.numpy()]

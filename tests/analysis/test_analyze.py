@@ -22,6 +22,7 @@ from grabnet.commands import run
 from grabnet.data.sequences import read_sequence, write_sequence
 from grabnet.errors import UserError
 from grabnet.preprocess.statistics import contact_counts
+from tests.generation.browser import EXECUTABLE, Browser
 from tests.preprocess.tiny_grab import SEQUENCES
 
 SHOWN = re.compile(r"<(?:script|style|pre)[^>]*>.*?</(?:script|style|pre)>|<[^>]+>", re.DOTALL)
@@ -76,7 +77,7 @@ def test_a_statistic_is_a_class_and_a_pass_continues(grab, tmp_path, capsys):
     assert Analysed(config.data, Subset(subjects=["s2"]), statistics).rows(Toy)[0]["frames"] == sum(
         n for name, n in untouched.items() if name.startswith("s2")
     )
-    with pytest.raises(UserError, match="started with rules.seed=0, now it is 1: delete"):
+    with pytest.raises(UserError, match=r"started with rules\.seed=0, now it is 1: delete"):
         accumulate(replace(work, rules=replace(config.rules, seed=1)), SEQUENCES, 1, 3)
 
 
@@ -193,3 +194,22 @@ def test_meshes_of_no_recording(grab, tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit):
         command(monkeypatch, "meshes", given)
     assert "holds no recording s9/x_lift_1; the first of 7 is s1/apple_lift_1." in capsys.readouterr().err
+
+
+@pytest.mark.skipif(EXECUTABLE is None, reason="needs Chromium")
+def test_a_browser_shows_the_page_and_turns_the_meshes(report, tmp_path):
+    with Browser(tmp_path / "profile", (1000, 700)) as browser:
+        browser.open(report / "report.html")
+        browser.wait("document.getElementById('view').width > 300")
+        inked = "(() => { const c = document.getElementById('view'), d = document.createElement('canvas'); "
+        inked += "d.width = c.width; d.height = c.height; const x = d.getContext('2d'); x.drawImage(c, 0, 0); "
+        inked += "const pixels = x.getImageData(0, 0, d.width, d.height).data; "
+        inked += "return pixels.reduce((n, v, i) => n + (i % 4 == 3 && v > 0), 0); })()"
+        first = browser.evaluate(inked)
+        browser.evaluate("document.getElementById('mesh').selectedIndex = document.getElementById('mesh').length - 1")
+        browser.evaluate("document.getElementById('mesh').onchange()")
+        second = browser.evaluate(inked)
+        assert min(first, second) > 2000 and first != second
+        assert browser.evaluate("[...document.images].every(image => image.complete && image.naturalWidth > 400)")
+        assert browser.log["exceptions"] == [] and browser.log["console"] == []
+        assert all(url.startswith(("file:", "data:", "about:")) for url in browser.log["requests"])

@@ -147,7 +147,7 @@ def test_clusters():
     group = Group("use", "s1", "mug")
     order = rng.permutation(len(hands))
     clusters._keep(group, order.astype(np.uint64), hands)
-    clusters.markers = {"mug": hands[7, :1].astype(float) + [0, 0, 0.001]}
+    clusters.markers = {"mug": hands[7, :1].astype(float) + np.array([0, 0, 0.001])}
     found = clusters.clusters(ALL, "mug")
     assert [cluster.grasps for cluster in found] == sizes
     for cluster, centre in zip(found, centres, strict=True):

@@ -131,7 +131,7 @@ def _seen(analysed: Sequence[Analysed], statistic: str) -> list[_Seen]:
     for each in analysed:
         heat = each.statistics[statistic]
         for intent, chosen in heat.by_intent(each.subset):
-            surface = each.data.surface()
+            surface = each.data.surface
             there = {
                 name: heat.share(chosen, view.of) for name, view in _VIEWS.items() if _on(surface, view.parts).any()
             }
