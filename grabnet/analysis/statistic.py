@@ -25,13 +25,14 @@ Row = dict[str, Any]
 class Heat(NamedTuple):
     """A mesh coloured by how often its vertices are touched: vertices (V, 3) metres, faces (F, 3), share (V,).
 
-    up: axis of the mesh that points upwards, "y" or "z".
+    up: axis of the mesh that points upwards, "y" or "z". in_page: whether the report's page holds it, too.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     share: np.ndarray
     up: str = "z"
+    in_page: bool = True
 
 
 class Statistic(ABC):

@@ -124,8 +124,8 @@ def test_the_report_has_everything(grab, report):
     assert "synthetic" not in SHOWN.sub("", page)
     assert not re.search(r'(?:src|href)="(?!data:|#)', page)
     mesh = trimesh.load(report / "meshes/body_grab_all.ply", process=False)
-    touched = mesh.vertex_attributes["likelihood"] if mesh.vertex_attributes else None
-    assert len(mesh.vertices) == 1556 and (touched is None or touched.max() > 0)
+    assert len(mesh.vertices) == 1556
+    assert b"property float likelihood" in (report / "meshes/body_grab_all.ply").read_bytes()[:600]
 
 
 @pytest.mark.parametrize(

@@ -81,9 +81,10 @@ def _section(section: Section, no_pictures: str | None) -> str:
 
 
 def _viewer(findings: Findings) -> str:
-    if not findings.heats:
+    names = [name for name, heat in findings.heats.items() if heat.in_page]
+    if not names:
         return "<p>There are no meshes coloured by contact: nothing was touched, or scenes=false.</p>"
-    options = "".join(f"<option>{escape(name)}</option>" for name in findings.heats)
+    options = "".join(f"<option>{escape(name)}</option>" for name in names)
     return (
         f"<p><label>Mesh <select id=mesh>{options}</select></label> <span class=note>drag to turn, wheel to zoom</span>"
         "</p><canvas id=view></canvas><div class=scale><span>0</span><i></i><span id=most></span></div>"
@@ -94,6 +95,7 @@ def _meshes(findings: Findings) -> str:
     meshes = [
         {"glb": base64.b64encode(heat_glb(heat)).decode(), "most": f"{100 * float(heat.share.max()):.1f} % of frames"}
         for heat in findings.heats.values()
+        if heat.in_page
     ]
     return json.dumps(meshes)
 

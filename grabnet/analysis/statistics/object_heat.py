@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from grabnet.analysis.comparing import compared
+from grabnet.analysis.data_set import DataSet
 from grabnet.analysis.frames import Frames, Subset
 from grabnet.analysis.plots import difference_colours, heat_colours, tiled
 from grabnet.analysis.statistic import Analysed, Heat, Row, Statistic
 from grabnet.visual.pictures import Shape, can_render, render
 
 _SIZE = (260, 260)
+_Column = tuple[str, str]  # data set and intent
 
 
 class ObjectHeat(Statistic):
@@ -53,27 +55,19 @@ class ObjectHeat(Statistic):
         if not highest:
             return None
         columns = list(dict.fromkeys(column for shares in found.values() for column in shares))
-        pairs = [
-            (a, b)
-            for a, b in compared(columns, lambda column: column)
-            if any(a in s and b in s for s in found.values())
-        ]
-        changes = {
-            name: {pair: shares[pair[0]] - shares[pair[1]] for pair in pairs if shares.keys() >= set(pair)}
-            for name, shares in found.items()
-        }
+        pairs = compared(columns, lambda column: column)
+        changes = {name: _changes(shares, pairs) for name, shares in found.items()}
+        pairs = [pair for pair in pairs if any(pair in of for of in changes.values())]
         most = max((float(np.abs(c).max()) for of in changes.values() for c in of.values()), default=0.0)
+        data = {each.label: each.data for each in analysed}
         tiles = []
         for name, shares in found.items():
-            mesh = next(each.data for each in analysed if name in each.data.objects()).object_mesh(name)
-
-            def picture(colours: np.ndarray, mesh=mesh) -> np.ndarray:
-                return render([Shape(mesh.vertices, mesh.faces, colours)], size=_SIZE)
-
-            tiles.append(
-                [picture(heat_colours(shares[c], highest)) if c in shares else None for c in columns]
-                + [picture(difference_colours(changes[name][p], most)) if p in changes[name] else None for p in pairs]
-            )
+            line = [_tile(data[c[0]], name, heat_colours(shares[c], highest)) if c in shares else None for c in columns]
+            for pair in pairs:
+                change = changes[name].get(pair)
+                colours = None if change is None else difference_colours(change, most)
+                line.append(None if colours is None else _tile(data[pair[0][0]], name, colours))
+            tiles.append(line)
         heads = ["\n".join(column) for column in columns] + [_minus(*pair) for pair in pairs]
         scales = [("likelihood of being touched, %", "heat", 0.0, 100 * highest)]
         if pairs and most:
@@ -87,7 +81,8 @@ class ObjectHeat(Statistic):
             for name, shares in cls._shares([each]).items():
                 mesh = each.data.object_mesh(name)
                 for (label, intent), share in shares.items():
-                    heats[f"{name}, {label}, {intent}"] = Heat(mesh.vertices, mesh.faces, share)
+                    in_page = intent == "all"  # each takes up to a megabyte
+                    heats[f"{name}, {label}, {intent}"] = Heat(mesh.vertices, mesh.faces, share, in_page=in_page)
         return heats
 
     @classmethod
@@ -101,6 +96,17 @@ class ObjectHeat(Statistic):
                     if (share := heat.share(chosen, name)) is not None:
                         found.setdefault(name, {})[each.label, intent] = share
         return dict(sorted(found.items()))
+
+
+def _changes(shares: Mapping[_Column, np.ndarray], pairs: Sequence[tuple[_Column, _Column]]) -> dict:
+    """Differences of likelihoods by pair of columns; none of meshes that differ between data sets."""
+    there = [(a, b) for a, b in pairs if a in shares and b in shares and len(shares[a]) == len(shares[b])]
+    return {(a, b): shares[a] - shares[b] for a, b in there}
+
+
+def _tile(data: DataSet, name: str, colours: np.ndarray) -> np.ndarray:
+    mesh = data.object_mesh(name)
+    return render([Shape(mesh.vertices, mesh.faces, colours)], size=_SIZE)
 
 
 def _minus(one: tuple[str, str], other: tuple[str, str]) -> str:
