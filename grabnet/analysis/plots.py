@@ -40,7 +40,7 @@ def bars(axes: Axes, names: Sequence[str], series: Mapping[str, Sequence[float]]
         places = np.arange(len(names)) + (k - (len(series) - 1) / 2) * width
         drawn = axes.bar(places, np.nan_to_num(values), 0.92 * width, color=COLOURS[k % len(COLOURS)], label=label)
         if len(names) * len(series) <= 40:
-            axes.bar_label(drawn, ["" if np.isnan(v) else f"{v:.0f}" for v in values], fontsize=7, padding=1)
+            axes.bar_label(drawn, ["" if np.isnan(v) else f"{v:,.0f}" for v in values], fontsize=7, padding=1)
     axes.set_xticks(range(len(names)), names, rotation=0 if len(names) < 8 else 60, ha="center", fontsize=8)
     axes.set_ylabel(unit)
 
@@ -95,6 +95,8 @@ def tiled(
         here.spines[:].set_visible(False)
         here.grid(False)
         here.imshow(np.full(shape, 255, np.uint8) if tile is None else tile)
+        if tile is None and not captions:
+            here.text(shape[1] / 2, shape[0] / 2, "none", ha="center", va="center", color="#98a2ad", fontsize=8)
         if row == 0:
             here.set_title(heads[column], fontsize=9)
         if column == 0:

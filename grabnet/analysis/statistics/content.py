@@ -48,8 +48,8 @@ class Content(Statistic):
             bars(
                 here,
                 names,
-                {label: [found.get(name, 0) / 1000 for name in names] for label, found in frames.items()},
-                "thousand frames",
+                {label: [found.get(name, 0) for name in names] for label, found in frames.items()},
+                "frames",
             )
             here.set_title(f"by {by}", loc="left", fontsize=9)
         legend(figure, axes[0, 0])

@@ -57,7 +57,9 @@ class Penetration(Statistic):
     def draw(cls, analysed: Sequence[Analysed]) -> Figure | None:
         figure, axes = panels(len(analysed), 2, 5.2, 2.8)
         for line, each in zip(axes, analysed, strict=True):
-            bins = np.broadcast_to(each.statistics[cls.name].total("bins", each.subset), (len(_KINDS), _BINS))
+            statistic, intents = each.statistics[cls.name], dict(each.statistics[cls.name].by_intent(each.subset))
+            shown = "use" if "use" in intents else "all"  # the paper shows "use"
+            bins = np.broadcast_to(statistic.total("bins", intents.get(shown, each.subset)), (len(_KINDS), _BINS))
             n = max(bins.sum(1).max(), 1)
             upper = 1000 * _BIN * np.arange(1, _BINS + 1)
             deepest = max(7.0, upper[min(_BINS - 1, int(np.searchsorted(np.cumsum(bins[0]), 0.99 * n)))])
@@ -74,7 +76,7 @@ class Penetration(Statistic):
                 here.set_xlim(0, deepest)
                 here.set_xlabel("penetration, mm")
                 here.set_ylabel(what)
-                here.set_title(f"{each.label} ({each.subset})", loc="left", fontsize=9)
+                here.set_title(f"{each.label}, {shown}", loc="left", fontsize=9)
             line[0].set_ylim(0, 102)
         legend(figure, axes[0, 0])
         return figure

@@ -47,10 +47,10 @@ class ContactShares(Statistic):
     def draw(cls, analysed: Sequence[Analysed]) -> Figure | None:
         tables = {each.label: {row["intent"]: row for row in each.rows(cls)} for each in analysed}
         intents = list(dict.fromkeys(intent for rows in tables.values() for intent in rows))
-        figure, axes = panels(len(intents), 2, 5, 2)
+        figure, axes = panels(len(intents), 2, 5, 2.2)
         for line, intent in zip(axes, intents, strict=True):
             for here, names, of in zip(
-                line, (_WHO, FINGER_PARTS), ("contact frames", "right hand's frames"), strict=True
+                line, (_WHO, FINGER_PARTS), ("contact frames", "right-hand frames"), strict=True
             ):
                 series = {
                     label: [rows[intent][f"{name} [%]"] if intent in rows else np.nan for name in names]
@@ -109,7 +109,7 @@ class SizeEffect(ContactShares):
         lines = [(label, subject) for label, names in who.items() for subject in names]
         if not lines:
             return None
-        figure, axes = panels(len(lines), len(SHAPES), 2.2, 1.9)
+        figure, axes = panels(len(lines), len(SHAPES), 2.2, 2.1)
         for line, (label, subject) in zip(axes, lines, strict=True):
             for here, shape in zip(line, SHAPES, strict=True):
                 rows = {r["size"]: r for r in tables[label] if (r["subjects"], r["shape"]) == (subject, shape)}
@@ -117,12 +117,9 @@ class SizeEffect(ContactShares):
                     who: [rows[size][f"{who} [%]"] if size in rows else np.nan for size in SIZES]
                     for who in ("right hand", "left hand", "both hands")
                 }
-                bars(here, SIZES, series, "% of contact frames" if shape == SHAPES[0] else "")
+                bars(here, SIZES, series, f"{label}\n{subject}\n% of contact frames" if shape == SHAPES[0] else "")
                 here.set_ylim(0, 119)
-                here.set_title(shape if line is axes[0] else "", fontsize=9)
-            line[0].annotate(f"{label}: {subject}", (0, 1.04), xycoords="axes fraction", fontsize=8, weight="bold")
-            line[0].set_title("")
-            line[0].set_title(SHAPES[0] if line is axes[0] else "", loc="right", fontsize=9)
+                here.set_title(shape, fontsize=9)
         legend(figure, axes[0, 0])
         return figure
 
