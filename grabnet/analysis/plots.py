@@ -80,33 +80,33 @@ def tiled(
         captions: below each tile; none when empty.
         size: width of a tile, inches.
     """
-    shape = next(tile for line in tiles for tile in line if tile is not None).shape
-    height = size * shape[0] / shape[1] + (0.22 if captions else 0.04)
-    foot = 0.75 if scales else 0.0
-    figure = Figure((len(heads) * size + 1.1, len(lines) * height + 0.5 + foot), layout="constrained")
-    grid, *below = figure.subfigures(
-        1 + bool(scales), 1, height_ratios=[len(lines) * height + 0.5, *([foot] * bool(scales))], squeeze=False
-    ).ravel()
-    axes = grid.subplots(len(lines), len(heads), squeeze=False)
-    for row, column in np.ndindex(axes.shape):
-        here, tile = axes[row, column], tiles[row][column]
-        here.set_xticks([])
-        here.set_yticks([])
-        here.spines[:].set_visible(False)
-        here.grid(False)
-        here.imshow(np.full(shape, 255, np.uint8) if tile is None else tile)
-        if tile is None and not captions:
-            here.text(shape[1] / 2, shape[0] / 2, "none", ha="center", va="center", color="#98a2ad", fontsize=8)
-        if row == 0:
-            here.set_title(heads[column], fontsize=9)
-        if column == 0:
-            here.set_ylabel(lines[row], fontsize=9)
+    height, width = next(tile for line in tiles for tile in line if tile is not None).shape[:2]
+    pitch = height + (round(0.2 * height) if captions else 0)
+    sheet = np.full((len(lines) * pitch, len(heads) * width, 3), 255, np.uint8)
+    inches = len(heads) * size, len(lines) * size * pitch / width
+    figure = Figure((inches[0] + 1.1, inches[1] + 0.5 + 0.75 * bool(scales)), layout="constrained")
+    parts = figure.subfigures(
+        1 + bool(scales), 1, height_ratios=[inches[1] + 0.5, 0.75][: 1 + bool(scales)], squeeze=False
+    )
+    axes = parts[0, 0].subplots()
+    for row, column in np.ndindex(len(lines), len(heads)):
+        tile, centre = tiles[row][column], (column + 0.5) * width
+        if tile is not None:
+            sheet[row * pitch : row * pitch + height, column * width : (column + 1) * width] = tile
+        elif not captions:
+            axes.text(centre, row * pitch + height / 2, "none", ha="center", va="center", color="#98a2ad", fontsize=8)
         if captions:
-            here.set_xlabel(captions[row][column], fontsize=7, labelpad=1)
+            axes.text(centre, row * pitch + height, captions[row][column], ha="center", va="top", fontsize=7)
+    axes.imshow(sheet, aspect="equal")
+    axes.set_xticks((np.arange(len(heads)) + 0.5) * width, heads)
+    axes.set_yticks(np.arange(len(lines)) * pitch + height / 2, lines)
+    axes.xaxis.tick_top()
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    axes.grid(False)
     if scales:
-        for here, (title, kind, low, high) in zip(
-            below[0].subplots(1, len(scales), squeeze=False)[0], scales, strict=True
-        ):
+        below = parts[1, 0].subplots(1, len(scales), squeeze=False)[0]
+        for here, (title, kind, low, high) in zip(below, scales, strict=True):
             _scale(here, title, kind, low, high)
     return figure
 

@@ -44,7 +44,7 @@ def agreement(tables: Mapping[str, list[Row]]) -> list[Row]:
     lines = []
     for statistic, chosen, column, published in _PUBLISHED:
         found = [row[column] for row in tables[statistic] if chosen.items() <= row.items()]
-        line: Row = {"statistic": statistic, "of": ", ".join(dict.fromkeys(chosen.values())), "what": column}
+        line: Row = {"statistic": statistic, "of": ", ".join(v for k, v in chosen.items() if k != "by"), "what": column}
         line |= {"published": published, "here": found[0] if found else None}
         lines.append(line | {"difference": found[0] - published if found else None})
     return lines

@@ -122,14 +122,14 @@ def _write(root: Path, findings: Findings) -> None:
         write_heat(root / "meshes" / f"{name.replace(', ', '_')}.ply", heat)
     numbers = {section.name: section.tables for section in findings.sections} | {"agreement": findings.agreement}
     write_json(root / "numbers.json", {"record": findings.record, "numbers": _finite(numbers)})
-    write_page(root / "report.html", findings)
+    write_page(root / "report.html", findings, root / "figures")
 
 
 def save_figure(folder: Path, name: str, figure: Figure) -> None:
     """Write a figure as PNG and PDF."""
     for suffix, about in ((".png", {"Software": None}), (".pdf", {"CreationDate": None})):
         with replacing(folder / f"{name}{suffix}") as temporary:
-            figure.savefig(temporary, dpi=150, metadata=about)
+            figure.savefig(temporary, dpi=130, metadata=about)
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:

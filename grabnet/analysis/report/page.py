@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import base64
-import io
 import json
 import math
 from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
-
-from matplotlib.figure import Figure
 
 from grabnet.analysis.report.findings import Findings, Section
 from grabnet.analysis.report.meshes import heat_glb
@@ -24,11 +21,17 @@ _TEMPLATE = Path(__file__).with_name("page.html")
 _SHORT = 12
 
 
-def write_page(path: Path, findings: Findings) -> None:
-    """Write the page, atomically."""
+def write_page(path: Path, findings: Findings, figures: Path) -> None:
+    """Write the page, atomically.
+
+    Args:
+        path: of the page.
+        findings: what it shows.
+        figures: folder of the figures, `<statistic>.png`.
+    """
     sections = [
         ("Agreement with the paper", _agreement(findings)),
-        *((section.title, _section(section, findings.no_pictures)) for section in findings.sections),
+        *((section.title, _section(section, figures, findings.no_pictures)) for section in findings.sections),
         ("In 3-D", _viewer(findings)),
         ("Made with", f"<pre>{escape(json.dumps(findings.record, indent=2))}</pre>"),
     ]
@@ -65,12 +68,12 @@ def _agreement(findings: Findings) -> str:
     return "".join(parts) + _table(findings.agreement)
 
 
-def _section(section: Section, no_pictures: str | None) -> str:
+def _section(section: Section, figures: Path, no_pictures: str | None) -> str:
     parts = [_note(section.about)]
     if not any(section.tables.values()):
         return f"{parts[0]}<p>There are no such frames in what was chosen.</p>"
     if section.figure is not None:
-        parts.append(_image(section.figure, section.title))
+        parts.append(_image(figures / f"{section.name}.png", section.title))
     else:
         parts.append(f"<p>{escape(no_pictures or 'Nothing was touched in what was chosen, so nothing is drawn.')}</p>")
     for label, rows in section.tables.items():
@@ -128,8 +131,6 @@ def _note(text: str) -> str:
     return f"<p class=note>{escape(text)}</p>"
 
 
-def _image(figure: Figure, alt: str) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
-    data = base64.b64encode(buffer.getvalue()).decode()
+def _image(path: Path, alt: str) -> str:
+    data = base64.b64encode(path.read_bytes()).decode()
     return f'<img class=plot alt="{escape(alt, quote=True)}" src="data:image/png;base64,{data}">'

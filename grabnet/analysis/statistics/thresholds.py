@@ -65,7 +65,7 @@ class Thresholds(Statistic):
                     places, values = [row[along] for row in chosen], [row[f"{part} [%]"] for row in chosen]
                     here.plot(places, values, "o-", markersize=3, color=_COLOURS[k], label=part)
                 here.set_ylim(-3, 103)
-                here.set_ylabel("% of contact frames")
+                here.set_ylabel("% of contact frames;\nof fingers, of the right hand's")
                 unit = "H, least lift of the object, mm" if along == "H [mm]" else "C, least object vertices per part"
                 here.set_xlabel(f"{unit} ({other.removesuffix(' [mm]')} = {at[0] if at else '–'})")
                 here.set_title(label, loc="left", fontsize=9)
