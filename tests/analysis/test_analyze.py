@@ -13,20 +13,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 from hydra.utils import instantiate
 
 from grabnet.analysis.accumulating import Accumulation, accumulate
 from grabnet.analysis.frames import Frames, Subset
 from grabnet.analysis.statistic import Analysed, Row, Statistic
+from grabnet.body.hand import HandModel, HandParameters
 from grabnet.cli.entry import compose
 from grabnet.commands import run
 from grabnet.contact.coloured import PART_COLOURS
 from grabnet.data.sequences import read_sequence, write_sequence
 from grabnet.errors import UserError
+from grabnet.geometry.mesh import Mesh, save_mesh
+from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.preprocess.statistics import contact_counts
+from grabnet.visual.pictures import can_render
 from tests.generation.browser import EXECUTABLE, Browser
-from tests.preprocess.tiny_grab import SEQUENCES
+from tests.preprocess.tiny_grab import SEQUENCES, grip
 
 SHOWN = re.compile(r"<(?:script|style|pre)[^>]*>.*?</(?:script|style|pre)>|<[^>]+>", re.DOTALL)
 
@@ -221,6 +226,30 @@ def test_meshes_of_no_recording(grab, tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit):
         command(monkeypatch, "meshes", given)
     assert "holds no recording s9/x_lift_1; the first of 7 is s1/apple_lift_1." in capsys.readouterr().err
+
+
+def test_generated_grasps_are_a_data_set(grab, report, tmp_path, monkeypatch):
+    """Two hands in the grip of the recordings, one far from it: shares by hand, on the right hand alone."""
+    hand, (centre, _) = HandModel.open(), grip()
+    relaxed = HandParameters(
+        torch.eye(3)[None], axis_angle_to_matrix(hand.hands_mean.view(1, 15, 3)), torch.zeros(1, 3)
+    )
+    vertices = hand(relaxed).vertices[0].numpy() - centre
+    for k, shift in enumerate(([0, 0, 0], [0, 0, 0], [0, 0, 0.1])):
+        save_mesh(tmp_path / f"grasps/ball/{k}.ply", Mesh(vertices + np.array(shift, np.float32), hand.faces.numpy()))
+    shutil.copytree(report / "counted", tmp_path / "out/counted")
+    others = ["compare=grasps", f"compare.root={tmp_path / 'grasps'}", "scenes=false"]
+    others.append(f"compare.meshes={grab[0] / 'tools/object_meshes/contact_meshes'}")
+    assert command(monkeypatch, "analyze", values(grab, tmp_path / "out", *others)) == 0
+    numbers = json.loads((tmp_path / "out/numbers.json").read_text())["numbers"]
+    (content,) = [row for row in numbers["content"]["grasps"] if row["by"] == "all"]
+    assert content == {"by": "all", "name": "all", "sequences": 1, "frames": 3, "contact frames": 2}
+    (shares, _) = numbers["shares"]["grasps"]
+    assert (shares["right hand [%]"], shares["thumb [%]"], shares["index [%]"]) == (100, 100, 100)
+    assert (shares["left hand [%]"], shares["palm [%]"]) == (0, 0)
+    assert numbers["penetration"]["grasps"][0]["mean [mm]"] == pytest.approx(1, abs=0.25)  # the ball's excess radius
+    assert numbers["shares"]["difference"][0]["right hand [%]"] == 0
+    assert (tmp_path / "out/figures/body_heat.png").exists() or can_render()
 
 
 @pytest.mark.skipif(EXECUTABLE is None, reason="needs Chromium")

@@ -104,12 +104,12 @@ class BodyHeat(Statistic):
 
     @classmethod
     def heats(cls, analysed: Sequence[Analysed]) -> dict[str, Heat]:
+        shown = {"body": "body", "right hand": "right palm", "left hand": "left palm", "head": "head"}
         return {
-            f"body, {one.title}".replace("\n", ", "): Heat(
-                one.surface.vertices, one.surface.faces, one.shares["body"], "y"
-            )
+            f"{what}, {one.title}".replace("\n", ", "): Heat(*_cut(one.surface, _VIEWS[view], one.shares[view]), "y")
             for one in _seen(analysed, cls.name)
-            if "body" in one.shares
+            for what, view in shown.items()
+            if view in one.shares
         }
 
 
@@ -157,8 +157,12 @@ def _on(surface: Surface, parts: Sequence[int]) -> np.ndarray:
     return np.isin(surface.parts, parts)
 
 
-def _tile(surface: Surface, view: _View, colours: np.ndarray) -> np.ndarray:
+def _cut(surface: Surface, view: _View, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices and faces of the parts that a view shows, and the values (V, …) of these vertices."""
     faces = surface.faces[_on(surface, view.parts)[surface.faces].all(1)]
     used, faces = np.unique(faces, return_inverse=True)
-    shape = Shape(surface.vertices[used], faces.reshape(-1, 3), colours[used])
-    return render([shape], view.direction, view.up, _SIZE)
+    return surface.vertices[used], faces.reshape(-1, 3), values[used]
+
+
+def _tile(surface: Surface, view: _View, colours: np.ndarray) -> np.ndarray:
+    return render([Shape(*_cut(surface, view, colours))], view.direction, view.up, _SIZE)
