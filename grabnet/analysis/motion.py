@@ -7,7 +7,7 @@ The folder gets, of the formats asked for,
     frames/<number>.npz                        the same: body, object (V, 3); contact_body, contact_object (V,) uint8
     faces.npz                                  with npz: body, object (F, 3), which all frames share
     meshes.json                                what they were made of
-All are coloured by the part that touches (ref. 1), light grey where nothing does.
+All are coloured by the part that touches (ref. 1), where one does.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from grabnet.geometry.mesh import Mesh
 from grabnet.io.files import filling, write_bytes, write_json
 from grabnet.io.provenance import provenance
 from grabnet.visual.animated import Moving, animated_glb
-from grabnet.visual.pictures import Shape, can_render, render
+from grabnet.visual.pictures import OBJECT, SKIN, Shape, can_render, render
 
 FORMATS = ("film", "glb", "ply", "npz")
 RESULTS = ("frames/*.ply", "frames/*.npz", "faces.npz", "film.webp", "motion.glb", "meshes.json")
@@ -176,9 +176,11 @@ def _write_npz(path: Path, **arrays: np.ndarray) -> None:
 
 def _picture(frame: Frame, view: np.ndarray) -> np.ndarray:
     shapes = [
-        Shape(mesh.vertices, mesh.faces, PART_COLOURS[labels] / 255)
-        for mesh, labels in ((frame.body, frame.body_labels), (frame.object, frame.object_labels))
-    ]
+        Shape(mesh.vertices, mesh.faces, np.where(labels[:, None] > 0, PART_COLOURS[labels] / 255, plain))
+        for mesh, labels, plain in (
+            (frame.body, frame.body_labels, SKIN), (frame.object, frame.object_labels, OBJECT),
+        )
+    ]  # fmt: skip
     return render(shapes, view, size=_SIZE)
 
 
