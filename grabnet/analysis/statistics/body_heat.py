@@ -46,7 +46,7 @@ class BodyHeat(Statistic):
     title = "Contact on the body"
     about = (
         "Likelihood that a vertex of the body is in contact: on the body, over all contact frames; on hands and head, "
-        "over those in which they take part (paper Fig. 5, S.9). Differences are of the whole-body likelihoods."
+        "over those in which they take part (paper Fig. 5, S.9). Of bodies that differ, right hands are subtracted."
     )
 
     def add(self, frames: Frames) -> None:
