@@ -164,7 +164,7 @@ class GrabRecordings(RecordingSource):
 
     def recipe(self) -> dict[str, Any]:
         genders = ("female", "male") if self.contact == "recompute" else ()
-        bodies = sorted({self._body_file(gender) for gender in genders})
+        bodies = sorted({self.body_file(gender) for gender in genders})
         rules = {"contact_rules": asdict(self.rules)} if self.contact == "recompute" else {}
         return {
             "contact": self.contact,
@@ -213,7 +213,7 @@ class GrabRecordings(RecordingSource):
     def _hand_file(self) -> Path:
         return OPEN_HANDS / "MANO_RIGHT.npz" if self.models is None else self._model("mano", "MANO_RIGHT")
 
-    def _body_file(self, gender: str) -> Path:
+    def body_file(self, gender: str) -> Path:
         """File of the whole-body model of a gender; there is but one open body."""
         if self.models is None:
             return OPEN_BODY / "SMPLX_NEUTRAL.npz"
@@ -228,7 +228,7 @@ class GrabRecordings(RecordingSource):
 
     def _annotated(self, sequence: Sequence, mesh: Mesh, template: Mesh) -> tuple[Sequence, dict[str, Any]]:
         """The recording with labels of our own, and how far they overlap with those in its file."""
-        body = _body(self._body_file(sequence.gender))
+        body = _body(self.body_file(sequence.gender))
         v_template, stored = torch.tensor(template.vertices), sequence.contact
         if not len(v_template) == len(body.v_template) == stored.body.shape[1]:
             raise UserError(
@@ -271,8 +271,8 @@ class GrabRecording(Recording):
     ):
         self.right = GraspTrack.right(sequence)
         self.centroid = centroid
-        self._sequence = sequence
-        self._mesh = mesh
+        self.sequence = sequence
+        self.mesh = mesh
         self._files = files
         self._overlaps = overlaps
         # Of use at the end only, but missing it, or another hand's, is a fault of this recording.
@@ -284,15 +284,15 @@ class GrabRecording(Recording):
         return self._files.sha256
 
     def left_mirrored(self) -> GraspTrack:
-        self._files.unmended(self._sequence.lhand.vtemp)  # as above
-        return GraspTrack.left_mirrored(self._sequence)
+        self._files.unmended(self.sequence.lhand.vtemp)  # as above
+        return GraspTrack.left_mirrored(self.sequence)
 
     def gap_to_table(self) -> np.ndarray:
-        table = self._sequence.table
-        return gap_to_table(self._sequence.object, self._mesh, table, self._files.unmended(table.mesh))
+        table = self.sequence.table
+        return gap_to_table(self.sequence.object, self.mesh, table, self._files.unmended(table.mesh))
 
     def counts(self) -> dict[str, Any]:
-        contact = {"contact": contact_counts(self._sequence)}
+        contact = {"contact": contact_counts(self.sequence)}
         return contact if self._overlaps is None else contact | {"overlap": self._overlaps}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,14 +48,7 @@ class SequenceWork:
             OSError: the store cannot be written to.
         """
         torch.set_num_threads(self.threads)
-        failure = None
-        try:
-            self._write(name)
-        except Exception as error:
-            if isinstance(error, OSError) and error.errno and Path(error.filename or "").is_relative_to(self.store):
-                raise
-            failure = str(told(error) or printable(unexpected(error)))
-        return Outcome(name, failure, f"{socket.gethostname()}:{os.getpid()}", peak_memory())
+        return outcome_of(name, self.store, lambda: self._write(name))
 
     def _write(self, name: str) -> None:
         recording = self.recordings.read(name)
@@ -76,6 +70,22 @@ class SequenceWork:
                 counts=({} if track.is_mirrored else counts)
                 | {"waterfall": frames_left(passed), "fingers": finger_counts(track.labels[kept])},
             )
+
+
+def outcome_of(name: str, folder: Path, work: Callable[[], None]) -> Outcome:
+    """How work on a recording, which writes to a folder, ends: what is wrong with the recording becomes a sentence.
+
+    Raises:
+        OSError: the folder cannot be written to.
+    """
+    failure = None
+    try:
+        work()
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno and Path(error.filename or "").is_relative_to(folder):
+            raise
+        failure = str(told(error) or printable(unexpected(error)))
+    return Outcome(name, failure, f"{socket.gethostname()}:{os.getpid()}", peak_memory())
 
 
 def peak_memory() -> int:

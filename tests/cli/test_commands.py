@@ -17,13 +17,16 @@ from grabnet.errors import UserError
 
 ROOT = Path(__file__).parents[2]
 CONFIG = {name: name for name in ("train", "evaluate", "benchmark")} | {
-    name: f"{name}/{name}" for name in ("sample", "preprocess")
+    name: f"{name}/{name}" for name in ("sample", "preprocess", "analyze")
 }
+CONFIG["meshes"] = "analyze/meshes"
 # Command lines that together have every value of a command.
 LINES = {
     "sample": ["mesh=a.obj", "mesh=a.obj hand_model=a.npz model=[runs/a,runs/b]"],
     "benchmark": ["suite=hand"],
     "preprocess": ["data=open data.contact=recompute"],
+    "analyze": ["compare=grasps compare.root=a", "compare=grab compare.root=a compare.models=a"],
+    "meshes": ["sequence=s1/mug_lift_1"],
     "evaluate": [
         "",
         "hand_model=mano hand_model.path=a.npz",

@@ -25,6 +25,8 @@ WRITERS = {
     "evaluate": "output={}",
     "train": "run_dir={}",
     "preprocess": "output={}",
+    "analyze": "output={}",
+    "meshes": "sequence=s1/mug_lift_1 output={}",
     "benchmark": "suite=hand output={}",
     "unpack": "downloads {}",
     "import": "coarsenet a.pt --bps a.npz --output {}",

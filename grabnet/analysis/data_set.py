@@ -1,0 +1,166 @@
+"""Data sets that can be analysed: recordings in GRAB's layout, and generated grasps."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache, cached_property, lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from grabnet.analysis.frames import Frames, Group, PosedHand
+from grabnet.body.hand import HandModel
+from grabnet.body.skeleton import RIGHT_HAND_JOINTS
+from grabnet.body.whole import BodyModel
+from grabnet.cli.checks import Name
+from grabnet.contact.annotator import vertex_parts
+from grabnet.data.intents import intent_of
+from grabnet.data.names import is_plain
+from grabnet.data.sequences import load_below
+from grabnet.errors import UserError
+from grabnet.geometry.mesh import Mesh, load_mesh
+from grabnet.geometry.queries import MeshQuery
+from grabnet.preprocess.grasp_track import GraspTrack, mirrored
+from grabnet.preprocess.recordings import GrabRecordings
+
+
+class Surface(NamedTuple):
+    """The body that contact is shown on.
+
+    vertices: (V, 3) metres, at rest. faces: (F, 3). parts: (V,) uint8, the part of each vertex (ref. 1).
+    right_hand: (778,) the body's vertices that are those of the right hand model.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    parts: np.ndarray
+    right_hand: np.ndarray
+
+
+class DataSet(ABC):
+    """What can be analysed. It is sent to workers, so it must pickle.
+
+    Attributes:
+        label: names it in the report.
+        is_synthetic: whether nobody was recorded.
+    """
+
+    label: str
+    is_synthetic: bool
+
+    @property
+    @abstractmethod
+    def folder(self) -> Path:
+        """That the files lie below."""
+
+    @abstractmethod
+    def names(self) -> list[str]:
+        """Names of all sequences; a `UserError` where there are none."""
+
+    @abstractmethod
+    def recipe(self) -> dict[str, Any]:
+        """All that decides what `frames` gives besides the files, JSON-able."""
+
+    @abstractmethod
+    def frames(self, name: str) -> tuple[Frames, dict[str, str]]:
+        """One sequence, and the SHA-256 of the files it was read from, by their path below `folder`."""
+
+    @abstractmethod
+    def objects(self) -> Mapping[str, Path]:
+        """Mesh file of each object."""
+
+    @property
+    @abstractmethod
+    def surface(self) -> Surface:
+        """The body; its vertices are numbered as in `Frames.body`."""
+
+    @abstractmethod
+    def hand(self) -> HandModel:
+        """The right hand's model."""
+
+    def object_mesh(self, name: str) -> Mesh:
+        """The mesh of an object, its vertices numbered as in `Frames.object`."""
+        return load_mesh(self.objects()[name], weld=False)
+
+
+@dataclass(frozen=True)
+class Recordings(GrabRecordings, DataSet):
+    """Recordings in GRAB's layout.
+
+    Args:
+        label: names the data set in the report.
+        is_synthetic: whether nobody was recorded.
+    """
+
+    label: Name = "recordings"
+    is_synthetic: bool = False
+
+    def __post_init__(self):
+        super().__post_init__()
+        check_label(self.label)
+
+    def frames(self, name: str) -> tuple[Frames, dict[str, str]]:
+        recording = self.read(name)
+        sequence = recording.sequence
+        height = sequence.object.transl[:, 2]
+        frames = Frames(
+            name=name,
+            group=Group(intent_of(sequence.motion_intent), sequence.sbj_id, sequence.obj_name),
+            object=sequence.contact.object,
+            body=sequence.contact.body,
+            lift=height - height[0],
+            hands=[self._posed(recording.right), self._posed(recording.left_mirrored())],
+            solid=lambda: _query(self.objects()[sequence.obj_name]),
+            hand_length=float(np.ptp(self.rest(sequence.rhand.vtemp).numpy(), 0).max()),
+        )
+        return frames, recording.inputs
+
+    @cached_property
+    def surface(self) -> Surface:
+        template = next(iter(sorted((self.folder / "tools/subject_meshes").glob("*/s*[0-9].ply"))), None)
+        if template is None:
+            raise UserError(f"{self.folder}/tools/subject_meshes holds no subject: unpack the data set's tools, too.")
+        mesh = load_below(self.folder, str(template.relative_to(self.folder)))
+        model = BodyModel(self.body_file(template.parent.name))
+        if len(mesh.vertices) != len(model.v_template):
+            raise UserError(f"{template} has {len(mesh.vertices)} vertices, the body {len(model.v_template)}.")
+        vertices = torch.tensor(mesh.vertices)
+        hand = self.hand()
+        # Both are modelled in one orientation: where the wrists meet, vertices do.
+        shift = model.rest_joints(model.v_template)[RIGHT_HAND_JOINTS[0]] - hand.rest_joints(hand.v_template)[0]
+        right = cKDTree(model.v_template.numpy()).query((hand.v_template + shift).numpy())[1]
+        return Surface(vertices.numpy(), model.faces.numpy(), vertex_parts(model.weights.numpy()), right)
+
+    def _posed(self, track: GraspTrack) -> PosedHand:
+        template = track.hand.vtemp
+
+        @torch.no_grad()
+        def posed(frames: np.ndarray) -> torch.Tensor:
+            rest = self.rest(template)
+            rest = mirrored(rest) if track.is_mirrored else rest
+            vertices = _hand(self._hand_file)(track.hand.parameters(frames), rest).vertices
+            here = track.object.to_local(vertices, frames)
+            return mirrored(here) if track.is_mirrored else here
+
+        return posed
+
+
+def check_label(label: str) -> None:
+    """Refuse a label that is no name of a folder, or that stands for something else."""
+    if not is_plain(label) or label in ("all", "difference"):
+        raise UserError(f"The label {label!r} cannot name a data set: give it letters, digits, - and _.")
+
+
+@cache
+def _hand(path: Path) -> HandModel:
+    return HandModel(path)
+
+
+@lru_cache(maxsize=8)
+def _query(path: Path) -> MeshQuery:
+    return MeshQuery(load_mesh(path, weld=False))

@@ -1,0 +1,23 @@
+"""The statistics, in the order of the report."""
+
+from __future__ import annotations
+
+from grabnet.analysis.statistic import Statistic
+from grabnet.analysis.statistics.body_heat import BodyHeat
+from grabnet.analysis.statistics.clusters import Clusters
+from grabnet.analysis.statistics.content import Content
+from grabnet.analysis.statistics.object_heat import ObjectHeat
+from grabnet.analysis.statistics.penetration import Penetration
+from grabnet.analysis.statistics.shares import ContactShares, SizeEffect
+from grabnet.analysis.statistics.thresholds import Thresholds
+
+STATISTICS: list[type[Statistic]] = [
+    Content,
+    ContactShares,
+    BodyHeat,
+    ObjectHeat,
+    SizeEffect,
+    Penetration,
+    Clusters,
+    Thresholds,
+]

@@ -1,0 +1,48 @@
+"""What a report shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from grabnet.analysis.statistic import Analysed, Heat, Row
+
+# Label of a table that subtracts two.
+DIFFERENCE = "difference"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A statistic: its tables by data set, then their difference, and its figure where there is something to draw."""
+
+    name: str
+    title: str
+    about: str
+    tables: dict[str, list[Row]]
+    figure: Figure | None
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Everything that was found.
+
+    Attributes:
+        analysed: the data sets.
+        sections: of statistics.
+        agreement: published numbers beside those of the first data set.
+        heats: meshes to turn, by name.
+        failures: what could not be counted, in sentences.
+        no_pictures: why this machine draws no pictures; None where it does.
+        record: what it was made with.
+    """
+
+    analysed: Sequence[Analysed]
+    sections: Sequence[Section]
+    agreement: Sequence[Row]
+    heats: Mapping[str, Heat]
+    failures: Sequence[str]
+    no_pictures: str | None
+    record: dict[str, Any]

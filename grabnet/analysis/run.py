@@ -1,0 +1,150 @@
+"""From a data set to its report: what `grabnet analyze` does.
+
+The folder gets
+    report.html                 all tables, figures and meshes in one file
+    figures/<statistic>.png, .pdf
+    numbers/<statistic>_<label>.csv   a line for each row; _difference.csv of two data sets
+    numbers.json                the same, with settings and versions
+    meshes/*.ply                bodies and objects coloured by contact, with the likelihood as a property
+    counted/<label>/            what each sequence adds, so that a run that was stopped, or another subset, continues
+"""
+
+from __future__ import annotations
+
+import csv
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from grabnet.analysis.accumulating import Accumulation, accumulate
+from grabnet.analysis.comparing import difference
+from grabnet.analysis.config import AnalyzeConfig
+from grabnet.analysis.published import agreement
+from grabnet.analysis.registry import STATISTICS
+from grabnet.analysis.report.findings import DIFFERENCE, Findings, Section
+from grabnet.analysis.report.meshes import write_heat
+from grabnet.analysis.report.page import write_page
+from grabnet.analysis.statistic import Analysed, Row
+from grabnet.analysis.statistics.clusters import Clusters
+from grabnet.cli.ends import say
+from grabnet.cli.progress import track
+from grabnet.errors import UserError
+from grabnet.io.files import existing, replacing, write_json
+from grabnet.io.litter import clear_litter
+from grabnet.io.locks import alone_in
+from grabnet.io.npz import read_npy
+from grabnet.io.provenance import provenance
+from grabnet.visual.pictures import can_render
+
+
+def run(config: AnalyzeConfig) -> int:
+    """Analyse, and say what failed; the exit code."""
+    failures = analyze(config)
+    print(f"Wrote {config.root / 'report.html'}.")
+    for sentence in failures:
+        say(sentence)
+    return 1 if failures else 0
+
+
+def analyze(config: AnalyzeConfig) -> list[str]:
+    """Count, and write everything; why sequences could not be counted, in sentences.
+
+    Raises:
+        UserError: no sequences, or an output that holds another analysis.
+    """
+    start, failures, analysed = time.monotonic(), [], []
+    names = [data.names() for data in config.data_sets]
+    with alone_in(config.root, "output"):
+        clear_litter(config.root, "*.*", "figures/*.*", "numbers/*.*", "meshes/*.*")
+        for data, sequences in zip(config.data_sets, names, strict=True):
+            work = Accumulation(data, STATISTICS, config.rules, config.root / "counted" / data.label)
+            statistics, failed = accumulate(work, sequences, config.workers, config.max_deaths, config.dask_address)
+            failures += [f"{outcome.name}: {outcome.failure}" for outcome in failed]
+            statistics[Clusters.name].markers = _markers(config.markers)
+            analysed.append(Analysed(data, config.subset, statistics))
+        findings = _findings(config, analysed, failures, time.monotonic() - start)
+        _write(config.root, findings)
+    return failures
+
+
+def _findings(config: AnalyzeConfig, analysed: Sequence[Analysed], failures: Sequence[str], seconds: float) -> Findings:
+    """Tables, figures and meshes of all statistics."""
+    sections, heats = [], {}
+    for kind in track(STATISTICS, "Drawing figures"):
+        tables = {each.label: each.rows(kind) for each in analysed}
+        figure = kind.draw(analysed) if any(tables.values()) else None
+        heats |= kind.heats(analysed) if config.scenes else {}
+        sections.append(Section(kind.name, kind.title, kind.about, tables, figure))
+    if len(analysed) > 1:
+        first, second = analysed
+        for section in sections:
+            rows = difference(section.tables[first.label], section.tables[second.label])
+            section.tables[DIFFERENCE] = rows
+    tables = {section.name: section.tables[analysed[0].label] for section in sections}
+    record = provenance(
+        data={each.label: each.data.recipe() for each in analysed},
+        rules=asdict(config.rules),
+        subset=str(config.subset),
+        seconds=round(seconds, 1),
+    )
+    return Findings(analysed, sections, agreement(tables), heats, failures, can_render(), record)
+
+
+def _markers(folder: str | None) -> dict[str, np.ndarray]:
+    """(M, 3) metres, by object, of files `<object>.npy` in a folder."""
+    if folder is None:
+        return {}
+    found = {}
+    for path in sorted(existing(folder, "Folder of markers (markers)").glob("*.npy")):
+        array = read_npy(path)
+        if not isinstance(array, np.ndarray) or array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind != "f":
+            raise UserError(
+                f"{path} holds no markers: an array (M, 3) of floats, metres in the object's frame, is needed."
+            )
+        if not np.isfinite(array).all() or not len(array):
+            raise UserError(f"{path} holds markers that are not finite, or none: repair it, or remove it.")
+        found[path.stem] = array
+    return found
+
+
+def _write(root: Path, findings: Findings) -> None:
+    for section in findings.sections:
+        if section.figure is not None:
+            save_figure(root / "figures", section.name, section.figure)
+        for label, rows in section.tables.items():
+            write_csv(root / "numbers" / f"{section.name}_{label}.csv", rows)
+    write_csv(root / "numbers" / "agreement.csv", findings.agreement)
+    for name, heat in findings.heats.items():
+        write_heat(root / "meshes" / f"{name.replace(', ', '_')}.ply", heat)
+    numbers = {section.name: section.tables for section in findings.sections} | {"agreement": findings.agreement}
+    write_json(root / "numbers.json", {"record": findings.record, "numbers": _finite(numbers)})
+    write_page(root / "report.html", findings, root / "figures")
+
+
+def save_figure(folder: Path, name: str, figure: Figure) -> None:
+    """Write a figure as PNG and PDF."""
+    for suffix, about in ((".png", {"Software": None}), (".pdf", {"CreationDate": None})):
+        with replacing(folder / f"{name}{suffix}") as temporary:
+            figure.savefig(temporary, dpi=130, metadata=about)
+
+
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """Write lines of a table under their columns' names; an empty file where there are none."""
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        if rows:
+            writer = csv.DictWriter(file, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+
+
+def _finite(value):
+    """JSON has no NaN: null stands for a share of nothing."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,0 +1,115 @@
+"""A statistic of a data set: one accumulator, which counts frames, and one figure.
+
+To add one, write a subclass of `Statistic` and name it in `grabnet.analysis.registry.STATISTICS`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from grabnet.analysis.data_set import DataSet
+from grabnet.analysis.frames import Frames, Group, Subset
+from grabnet.analysis.rules import Rules
+from grabnet.data.intents import INTENTS
+
+# A line of a table: texts say what it is of, numbers what was found.
+Row = dict[str, Any]
+
+
+class Heat(NamedTuple):
+    """A mesh coloured by how often its vertices are touched: vertices (V, 3) metres, faces (F, 3), share (V,).
+
+    up: axis of the mesh that points upwards, "y" or "z". in_page: whether the report's page holds it, too.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    share: np.ndarray
+    up: str = "z"
+    in_page: bool = True
+
+
+class Statistic(ABC):
+    """Sums over frames, by group, so that any subset can be chosen afterwards.
+
+    Args:
+        rules: which frames count, and how finely.
+
+    Attributes:
+        sums: an array by group and name; what `merge` adds up.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    about: ClassVar[str]
+
+    def __init__(self, rules: Rules):
+        self.rules = rules
+        self.sums: dict[tuple[Group, str], np.ndarray] = {}
+
+    @abstractmethod
+    def add(self, frames: Frames) -> None:
+        """Count the frames of a sequence."""
+
+    def merge(self, other: Statistic) -> None:
+        """Take what another one of the same kind has counted; its arrays may be kept."""
+        for (group, what), value in other.sums.items():
+            self.count(group, what, value)
+
+    @abstractmethod
+    def result(self, subset: Subset) -> list[Row]:
+        """Lines of the table; none where nothing was counted."""
+
+    @classmethod
+    @abstractmethod
+    def draw(cls, analysed: Sequence[Analysed]) -> Figure | None:
+        """Draw the figure, data sets side by side with one scale; None where there is nothing to draw."""
+
+    @classmethod
+    def heats(cls, analysed: Sequence[Analysed]) -> dict[str, Heat]:
+        """Meshes to turn in 3-D, by name."""
+        return {}
+
+    def count(self, group: Group, what: str, value: Any) -> None:
+        """Add to a sum."""
+        key = group, what
+        self.sums[key] = self.sums[key] + value if key in self.sums else np.asarray(value)
+
+    def total(self, what: str, subset: Subset) -> Any:
+        """Sum over the groups of a subset; 0 where there are none."""
+        return sum((value for (group, name), value in self.sums.items() if name == what and group in subset), 0)
+
+    def groups(self, subset: Subset) -> list[Group]:
+        """Those of a subset that were counted."""
+        return sorted({group for group, _ in self.sums if group in subset})
+
+    def by_intent(self, subset: Subset) -> Iterator[tuple[str, Subset]]:
+        """The subset's part of each intent that was counted, after "all"."""
+        there = {group.intent for group in self.groups(subset)}
+        if there:
+            yield "all", subset
+        for intent in sorted(there, key=lambda name: (INTENTS.index(name) if name in INTENTS else 9, name)):
+            yield intent, Subset([intent], subset.subjects, subset.objects)
+
+
+@dataclass(frozen=True)
+class Analysed:
+    """A data set, what was counted of it, and the subset to show."""
+
+    data: DataSet
+    subset: Subset
+    statistics: Mapping[str, Statistic] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        return self.data.label
+
+    def rows(self, statistic: type[Statistic]) -> list[Row]:
+        """The table of a statistic."""
+        return self.statistics[statistic.name].result(self.subset)

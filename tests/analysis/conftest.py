@@ -1,0 +1,1 @@
+from tests.preprocess.conftest import grab  # noqa: F401, a fixture

@@ -1,0 +1,274 @@
+"""From recordings to a report, by command lines: passes that continue, subsets, data sets side by side."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+import struct
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from hydra.utils import instantiate
+
+from grabnet.analysis.accumulating import Accumulation, accumulate
+from grabnet.analysis.frames import Frames, Subset
+from grabnet.analysis.statistic import Analysed, Row, Statistic
+from grabnet.body.hand import HandModel, HandParameters
+from grabnet.cli.entry import compose
+from grabnet.commands import run
+from grabnet.contact.coloured import PART_COLOURS
+from grabnet.data.sequences import read_sequence, write_sequence
+from grabnet.errors import UserError
+from grabnet.geometry.mesh import Mesh, save_mesh
+from grabnet.geometry.rotations import axis_angle_to_matrix
+from grabnet.preprocess.statistics import contact_counts
+from grabnet.visual.pictures import can_render
+from tests.generation.browser import EXECUTABLE, Browser
+from tests.preprocess.tiny_grab import SEQUENCES, grip
+
+SHOWN = re.compile(r"<(?:script|style|pre)[^>]*>.*?</(?:script|style|pre)>|<[^>]+>", re.DOTALL)
+
+
+class Toy(Statistic):
+    """Frames in which nothing touches: one accumulator, one figure."""
+
+    name, title, about = "toy", "Toy", "Frames in which nothing touches."
+    calls = 0
+
+    def add(self, frames: Frames) -> None:
+        Toy.calls += 1
+        self.count(frames.group, "untouched", (~frames.object.any(1)).sum())
+
+    def result(self, subset: Subset) -> list[Row]:
+        return [{"intent": name, "frames": int(self.total("untouched", of))} for name, of in self.by_intent(subset)]
+
+    @classmethod
+    def draw(cls, analysed):
+        return None
+
+
+def values(grab, output: Path, *more: str) -> list[str]:
+    root, models = grab
+    return [
+        "data=grab", f"data.root={root}", f"data.models={models}", f"output={output}", "workers=1",
+        "rules.min_body_vertices=1", "rules.posed_every=3", "rules.clusters=2", *more,
+    ]  # fmt: skip
+
+
+def command(monkeypatch, name: str, given: list[str]) -> int:
+    monkeypatch.setattr(sys, "argv", [f"grabnet {name}", *given])
+    return run(name)
+
+
+def data_of(grab, tmp_path):
+    return instantiate(compose("analyze/analyze", values(grab, tmp_path)), _convert_="all")
+
+
+def test_a_statistic_is_a_class_and_a_pass_continues(grab, tmp_path, capsys):
+    config = data_of(grab, tmp_path)
+    work = Accumulation(config.data, [Toy], config.rules, tmp_path / "counted")
+    Toy.calls = 0
+    accumulate(work, list(SEQUENCES)[:3], 1, 3)
+    statistics, failures = accumulate(work, SEQUENCES, 1, 3)
+    assert (Toy.calls, failures) == (len(SEQUENCES), [])
+    recordings = [read_sequence(grab[0] / f"grab/{name}.npz") for name in SEQUENCES]
+    untouched = {r.name: int((~r.contact.object.any(1)).sum()) for r in recordings}
+    rows = Analysed(config.data, Subset(), statistics).rows(Toy)
+    assert rows[0] == {"intent": "all", "frames": sum(untouched.values())}
+    assert Analysed(config.data, Subset(subjects=["s2"]), statistics).rows(Toy)[0]["frames"] == sum(
+        n for name, n in untouched.items() if name.startswith("s2")
+    )
+    with pytest.raises(UserError, match=r"started with rules\.seed=0, now it is 1: delete"):
+        accumulate(replace(work, rules=replace(config.rules, seed=1)), SEQUENCES, 1, 3)
+
+
+def test_a_recording_that_changed_is_counted_again_and_a_damaged_one_fails(grab, tmp_path, capsys):
+    config = data_of(grab, tmp_path)
+    (tmp_path / "root/grab/s1").mkdir(parents=True)
+    shutil.copytree(grab[0] / "tools", tmp_path / "root/tools")
+    for name in SEQUENCES[:2]:
+        (tmp_path / f"root/grab/{name}.npz").write_bytes((grab[0] / f"grab/{name}.npz").read_bytes())
+    data = replace(config.data, root=str(tmp_path / "root"))
+    work = Accumulation(data, [Toy], config.rules, tmp_path / "counted")
+    accumulate(work, SEQUENCES[:2], 1, 3)
+    (tmp_path / f"root/grab/{SEQUENCES[0]}.npz").write_bytes(b"damaged")
+    statistics, (failure,) = accumulate(work, SEQUENCES[:2], 1, 3)
+    assert f"{SEQUENCES[0]} is counted again" in capsys.readouterr().out
+    assert failure.name == SEQUENCES[0] and "not a readable .npz file" in failure.failure
+    assert len(statistics["toy"].groups(Subset())) == 1
+
+
+@pytest.fixture(scope="module")
+def report(grab, tmp_path_factory) -> Path:
+    """Output of an analysis; not to be written to."""
+    output = tmp_path_factory.mktemp("report")
+    with pytest.MonkeyPatch.context() as patch:
+        assert command(patch, "analyze", values(grab, output)) == 0
+    return output
+
+
+def test_the_report_has_everything(grab, report):
+    numbers = json.loads((report / "numbers.json").read_text())["numbers"]
+    counts = [contact_counts(read_sequence(grab[0] / f"grab/{name}.npz")) for name in SEQUENCES]
+    assert numbers["shares"]["grab"][0]["contact frames"] >= sum(c["frames"] for c in counts)
+    assert numbers["content"]["grab"][0]["sequences"] == len(SEQUENCES)
+    with (report / "numbers/shares_grab.csv").open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [float(line["right hand [%]"]) for line in lines] == [100.0] * len(lines)
+    published = {(r["statistic"], r["of"], r["what"]): r for r in numbers["agreement"]}
+    assert published["content", "use", "sequences"]["published"] == 579
+    assert published["content", "use", "sequences"]["difference"] == numbers["content"]["grab"][3]["sequences"] - 579
+    for name in ("content", "shares", "penetration", "thresholds"):
+        assert (report / f"figures/{name}.png").read_bytes()[:4] == b"\x89PNG"
+        assert (report / f"figures/{name}.pdf").read_bytes()[:4] == b"%PDF"
+    page = (report / "report.html").read_text()
+    assert "synthetic" not in SHOWN.sub("", page)
+    assert not re.search(r'(?:src|href)="(?!data:|#)', page)
+    mesh = trimesh.load(report / "meshes/body_grab_all.ply", process=False)
+    assert len(mesh.vertices) == 1556
+    assert b"property float likelihood" in (report / "meshes/body_grab_all.ply").read_bytes()[:600]
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["intents=[offhand]"], "There are no such frames in what was chosen."),
+        (["objects=[mug]", "subjects=[s1]"], "There are no such frames in what was chosen."),
+    ],
+)
+def test_an_empty_subset_is_said(grab, report, tmp_path, monkeypatch, more, said):
+    (tmp_path / "counted").symlink_to(report / "counted")
+    assert command(monkeypatch, "analyze", values(grab, tmp_path, *more)) == 0
+    assert said in SHOWN.sub("", (tmp_path / "report.html").read_text())
+
+
+def test_a_recording_without_contact_is_said_and_two_data_sets_are_subtracted(grab, tmp_path, monkeypatch):
+    root = tmp_path / "root"
+    shutil.copytree(grab[0] / "tools", root / "tools")
+    shutil.copytree(root, tmp_path / "theirs")
+    made = read_sequence(grab[0] / f"grab/{SEQUENCES[1]}.npz")
+    nothing = replace(made.contact, object=0 * made.contact.object, body=0 * made.contact.body)
+    write_sequence(root / f"grab/{SEQUENCES[1]}.npz", replace(made, contact=nothing))
+    write_sequence(tmp_path / f"theirs/grab/{SEQUENCES[1]}.npz", made)
+    others = [
+        "compare=grab",
+        "compare.label=theirs",
+        f"compare.root={tmp_path / 'theirs'}",
+        f"compare.models={grab[1]}",
+    ]
+    given = values((root, grab[1]), tmp_path / "out", "data.is_synthetic=true", "scenes=false", *others)
+    assert command(monkeypatch, "analyze", given) == 0
+    text = SHOWN.sub("", (tmp_path / "out/report.html").read_text())
+    assert "“grab” is synthetic: nobody was recorded" in text
+    numbers = json.loads((tmp_path / "out/numbers.json").read_text())["numbers"]
+    ours, theirs, change = (numbers["content"][label][0] for label in ("grab", "theirs", "difference"))
+    assert ours["contact frames"] == 0
+    assert change["contact frames"] == -theirs["contact frames"] < 0
+    assert numbers["shares"]["grab"][0]["right hand [%]"] is None
+
+
+def test_meshes_over_time(grab, tmp_path, monkeypatch):
+    root, models = grab
+    name = SEQUENCES[1]
+    given = [
+        "data=grab", f"data.root={root}", f"data.models={models}", f"sequence={name}", "every=4",
+        "formats=[glb,ply,npz]", f"output={tmp_path}",
+    ]  # fmt: skip
+    assert command(monkeypatch, "meshes", given) == 0
+    made = read_sequence(root / f"grab/{name}.npz")
+    number = 8
+    frame = np.load(tmp_path / f"frames/{number:05d}.npz")
+    solid = trimesh.load(root / "tools/object_meshes/contact_meshes/ball.ply", process=False)
+    turn = trimesh.transformations.rotation_matrix(
+        np.linalg.norm(made.object.global_orient[number]), made.object.global_orient[number]
+    )[:3, :3]
+    expected = solid.vertices @ turn + made.object.transl[number]  # acting on row vectors, ref. 1
+    np.testing.assert_allclose(frame["object"], expected, atol=1e-5)
+    assert (frame["contact_body"] == made.contact.body[number]).all()
+    ply = trimesh.load(tmp_path / f"frames/{number:05d}_body.ply", process=False)
+    np.testing.assert_allclose(ply.vertices, frame["body"], atol=1e-6)
+    assert sorted(p.name for p in (tmp_path / "frames").glob("*.npz")) == ["00000.npz", "00004.npz", "00008.npz"]
+    # By the specification of glTF: the frame's mesh in the file, and the times at which it is shown.
+    file = (tmp_path / "motion.glb").read_bytes()
+    length = struct.unpack_from("<I", file, 12)[0]
+    scene, data = json.loads(file[20 : 20 + length]), file[28 + length :]
+
+    def array(accessor: int) -> np.ndarray:
+        about = scene["accessors"][accessor]
+        kind = {5126: "f4", 5125: "u4", 5121: "u1"}[about["componentType"]]
+        start = scene["bufferViews"][about["bufferView"]]["byteOffset"]
+        return np.frombuffer(data, kind, about["count"] * {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[about["type"]], start)
+
+    (node,) = [node for node in scene["nodes"] if node["name"] == "object_2"]
+    attributes = scene["meshes"][node["mesh"]]["primitives"][0]["attributes"]
+    np.testing.assert_allclose(array(attributes["POSITION"]).reshape(-1, 3), expected, atol=1e-5)
+    colours = PART_COLOURS[made.contact.object[number]]
+    assert (array(attributes["COLOR_0"]).reshape(-1, 4)[:, :3] == colours).all() and len(np.unique(colours)) > 3
+    (channel,) = [
+        c for c in scene["animations"][0]["channels"] if scene["nodes"][c["target"]["node"]]["name"] == "frame_2"
+    ]
+    sampler = scene["animations"][0]["samplers"][channel["sampler"]]
+    np.testing.assert_allclose(array(sampler["input"]), [0, 8 / made.framerate, 12 / made.framerate])
+    assert array(sampler["output"]).tolist() == [0, 0, 0, 1, 1, 1, 1, 1, 1]
+    assert len(trimesh.load(tmp_path / "motion.glb", process=False).geometry) == 6  # another reader takes it
+
+
+def test_meshes_of_no_recording(grab, tmp_path, monkeypatch, capsys):
+    root, models = grab
+    given = ["data=grab", f"data.root={root}", f"data.models={models}", "sequence=s9/x_lift_1", f"output={tmp_path}"]
+    with pytest.raises(SystemExit):
+        command(monkeypatch, "meshes", given)
+    assert "holds no recording s9/x_lift_1; the first of 7 is s1/apple_lift_1." in capsys.readouterr().err
+
+
+def test_generated_grasps_are_a_data_set(grab, report, tmp_path, monkeypatch):
+    """Two hands in the grip of the recordings, one far from it: shares by hand, on the right hand alone."""
+    hand, (centre, radius) = HandModel.open(), grip()
+    relaxed = HandParameters(
+        torch.eye(3)[None], axis_angle_to_matrix(hand.hands_mean.view(1, 15, 3)), torch.zeros(1, 3)
+    )
+    vertices = hand(relaxed).vertices[0].numpy() - centre
+    for k, shift in enumerate(([0, 0, 0], [0, 0, 0], [0, 0.2, 0])):
+        save_mesh(tmp_path / f"grasps/ball/{k}.ply", Mesh(vertices + np.array(shift, np.float32), hand.faces.numpy()))
+    shutil.copytree(report / "counted", tmp_path / "out/counted")
+    others = ["compare=grasps", f"compare.root={tmp_path / 'grasps'}", "scenes=false"]
+    others.append(f"compare.meshes={grab[0] / 'tools/object_meshes/contact_meshes'}")
+    assert command(monkeypatch, "analyze", values(grab, tmp_path / "out", *others)) == 0
+    numbers = json.loads((tmp_path / "out/numbers.json").read_text())["numbers"]
+    (content,) = [row for row in numbers["content"]["grasps"] if row["by"] == "all"]
+    assert content == {"by": "all", "name": "all", "sequences": 1, "frames": 3, "contact frames": 2}
+    (shares, _) = numbers["shares"]["grasps"]
+    assert (shares["right hand [%]"], shares["thumb [%]"], shares["index [%]"]) == (100, 100, 100)
+    assert (shares["left hand [%]"], shares["palm [%]"]) == (0, 0)
+    depths = radius - np.linalg.norm(vertices, axis=1)
+    found = {row["of a frame"]: row["mean [mm]"] for row in numbers["penetration"]["grasps"] if row["intent"] == "all"}
+    assert found["mean"] == pytest.approx(1000 * depths[depths > 0].mean(), abs=0.1)  # the ball is made of triangles
+    assert found["max"] == pytest.approx(1000 * depths.max(), abs=0.1)
+    assert numbers["shares"]["difference"][0]["right hand [%]"] == 0
+    assert (tmp_path / "out/figures/body_heat.png").exists() or can_render()
+
+
+@pytest.mark.skipif(EXECUTABLE is None, reason="needs Chromium")
+def test_a_browser_shows_the_page_and_turns_the_meshes(report, tmp_path):
+    with Browser(tmp_path / "profile", (1000, 700)) as browser:
+        browser.open(report / "report.html")
+        browser.wait("document.getElementById('view').width > 300")
+        inked = "(() => { const c = document.getElementById('view'), d = document.createElement('canvas'); "
+        inked += "d.width = c.width; d.height = c.height; const x = d.getContext('2d'); x.drawImage(c, 0, 0); "
+        inked += "const pixels = x.getImageData(0, 0, d.width, d.height).data; "
+        inked += "return pixels.reduce((n, v, i) => n + (i % 4 == 3 && v > 0), 0); })()"
+        first = browser.evaluate(inked)
+        browser.evaluate("document.getElementById('mesh').selectedIndex = document.getElementById('mesh').length - 1")
+        browser.evaluate("document.getElementById('mesh').onchange()")
+        second = browser.evaluate(inked)
+        assert min(first, second) > 2000 and first != second
+        assert browser.evaluate("[...document.images].every(image => image.complete && image.naturalWidth > 200)")
+        assert browser.log["exceptions"] == [] and browser.log["console"] == []
+        assert all(url.startswith(("file:", "data:", "about:")) for url in browser.log["requests"])
