@@ -132,10 +132,6 @@ class Turntable:
             stage.render()
             yield np.asarray(stage.screenshot(return_img=True))
 
-    def close(self) -> None:
-        """Give the window back."""
-        self._stage.close()
-
 
 def painted(shape: Shape) -> pyvista.PolyData:
     """A shape with the light on it as colours of its vertices, which are split along sharp edges."""
