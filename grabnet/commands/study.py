@@ -20,7 +20,7 @@ from omegaconf import DictConfig
 from grabnet.cli.entry import hydra_entry
 from grabnet.cli.help import EXIT_CODES
 
-PATHS = ("output", "runs", "export", "certificate", "private_key")
+PATHS = ("output", "runs", "export", "videos", "certificate", "private_key")
 LISTS = ("models", "grasps", "answers")
 
 
@@ -46,7 +46,46 @@ def serve(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="all"))
 
 
-COMMANDS: dict[str, Callable[[], int]] = {"export": export, "serve": serve}
+@hydra_entry("study/analyse", paths=PATHS, lists=LISTS)
+def analyse(cfg: DictConfig) -> int:
+    """Filter raters, and report what the others answered.
+
+    grabnet study analyse export=DIR [answers=FILE] [output=DIR] [any value below]
+    """
+    from grabnet.study.report import run
+
+    return run(instantiate(cfg, _convert_="all"))
+
+
+@hydra_entry("study/simulate", paths=PATHS)
+def simulate(cfg: DictConfig) -> int:
+    """Rehearse a study with synthetic raters, some of them careless.
+
+    grabnet study simulate [export=DIR] [raters=200] [careless=0.3] [any value below]
+    """
+    from grabnet.study.simulation import run
+
+    return run(instantiate(cfg, _convert_="all"))
+
+
+@hydra_entry("study/power", paths=PATHS)
+def power(cfg: DictConfig) -> int:
+    """Say how many raters and grasps a difference of mean answers needs.
+
+    grabnet study power [difference=-0.2] [any value below]
+    """
+    from grabnet.study.power import run
+
+    return run(instantiate(cfg, _convert_="all"))
+
+
+COMMANDS: dict[str, Callable[[], int]] = {
+    "export": export,
+    "serve": serve,
+    "analyse": analyse,
+    "simulate": simulate,
+    "power": power,
+}
 
 
 def main() -> int:
