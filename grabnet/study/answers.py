@@ -9,7 +9,7 @@ from pathlib import Path
 from grabnet.errors import UserError
 from grabnet.io.files import existing
 from grabnet.study.key import CATCH, Shown, StudyKey
-from grabnet.study.records import BadRecord, check_answer, check_frame, decode
+from grabnet.study.records import RecordError, check_answer, check_frame, decode
 from grabnet.study.tables import BatchColumns, read_table
 
 Trial = tuple[str, ...]
@@ -100,7 +100,11 @@ def _expanded(files: Sequence[Path]) -> list[Path]:
     paths: list[Path] = []
     for path in files:
         existing(path, "Answers")
-        inside = sorted(p for p in path.iterdir() if p.suffix.lower() in (".jsonl", ".json", ".csv")) if path.is_dir() else [path]
+        inside = (
+            sorted(p for p in path.iterdir() if p.suffix.lower() in (".jsonl", ".json", ".csv"))
+            if path.is_dir()
+            else [path]
+        )
         if not inside:
             raise UserError(f"{path} holds no .jsonl, .json or .csv file.")
         paths += inside
@@ -121,7 +125,7 @@ def _records(path: Path, key: StudyKey, problems: list[str]) -> list[Answer]:
         try:
             record = decode(line)
             check_frame(record, key)
-        except BadRecord as wrong:
+        except RecordError as wrong:
             problems.append(f"{where}: {wrong}; the record is left out")
             continue
         session, content = record["session"], line.decode(errors="replace")
@@ -144,7 +148,7 @@ def _checked(record: dict, rater: str, key: StudyKey, where: str, problems: list
     for position, answer in enumerate(record["answers"], 1):
         try:
             check_answer(answer, key, number)
-        except BadRecord as wrong:
+        except RecordError as wrong:
             problems.append(f"{where}, answer {position}: {wrong}; it is left out")
             continue
         videos = tuple(answer["videos"])

@@ -102,7 +102,7 @@ def _chosen(methods: list[Method], config: ExportConfig) -> list[Method]:
         raise UserError(f"conditions names {unknown[0]!r}; the rows are {', '.join(by_name)}.")
     if len(set(config.conditions)) < len(config.conditions) or len(config.conditions) < 2:
         raise UserError("conditions must name at least two different rows.")
-    return sorted((by_name[name] for name in config.conditions), key=lambda method: not method.rank == 0)
+    return sorted((by_name[name] for name in config.conditions), key=lambda method: method.rank != 0)
 
 
 def _of(method: Method, name: str, n: int) -> list[Grasp]:

@@ -17,8 +17,8 @@ from grabnet.errors import UserError
 from grabnet.evaluation.bootstrap import Estimate
 from grabnet.study.scores import Ratings
 
-# Chains are trusted below this ratio of variances between and within (Vehtari et al., Bayesian Analysis 2021: 1.01; ours
-# are short).
+# Chains are trusted below this ratio of variances between and within (Vehtari et al., Bayesian Analysis 2021: 1.01;
+# ours are short).
 _MAX_R_HAT = 1.05
 
 
@@ -70,7 +70,9 @@ def fit(ratings: Ratings, config: ModelConfig, seed: int) -> OrdinalFit:
         raise UserError("The ordinal model needs ratings of two conditions and of two levels.")
     # Levels that nobody used have no cutpoint.
     used, level = np.unique(ratings.rating, return_inverse=True)
-    kernel = numpyro.infer.NUTS(_parted(ratings, numpyro), init_strategy=numpyro.infer.init_to_median, target_accept_prob=0.85)
+    kernel = numpyro.infer.NUTS(
+        _parted(ratings, numpyro), init_strategy=numpyro.infer.init_to_median, target_accept_prob=0.85
+    )
     sampler = numpyro.infer.MCMC(
         kernel,
         num_warmup=config.warmup,
@@ -97,8 +99,8 @@ def fit(ratings: Ratings, config: ModelConfig, seed: int) -> OrdinalFit:
     return OrdinalFit(differences, deviations, _caution(shown, diverging, config, numpyro))
 
 
-# Of the deviations that effects are expected to have, in ratings that say as much about one effect: the more ratings there
-# are of each, the less is gained by sampling it apart from its deviation.
+# So many ratings say as much about one effect as the deviation that effects are expected to have. The more ratings there
+# are of each effect, the less is gained by sampling it apart from its deviation.
 _PRIOR_RATINGS = {"rater": 5, "rater_difference": 30, "grasp": 10}
 
 
@@ -126,9 +128,7 @@ def _model(sizes: tuple[int, ...], indices: tuple[np.ndarray, ...], level: np.nd
             dist.Normal(0.0, 3.0).expand([n_levels - 1]).to_event(1), dist.transforms.OrderedTransform()
         ),
     )
-    deviation = {
-        name: sample(f"sd_{name}", dist.HalfNormal(1.5)) for name in ("rater", "rater_difference", "grasp")
-    }
+    deviation = {name: sample(f"sd_{name}", dist.HalfNormal(1.5)) for name in ("rater", "rater_difference", "grasp")}
     difference = sample("difference", dist.Normal(0.0, 2.5).expand([n_conditions - 1, n_objects]).to_event(2))
     effect = jnp.zeros((n_conditions, n_objects)).at[1:].set(difference)
     if n_objects > 1:

@@ -16,7 +16,8 @@ _STEPS = 200
 def bradley_terry(wins: np.ndarray) -> np.ndarray:
     """Return log strengths (…, n), the first 0: i is chosen before j with the odds exp(strength i − strength j).
 
-    By Hunter's minorise-maximise steps (Annals of Statistics 2004), which solve many tables at once, as redrawings need.
+    By Hunter's minorise-maximise steps (Annals of Statistics 2004), which solve many tables
+    at once, as redrawings need.
 
     Args:
         wins: (…, n, n) how often i was chosen before j; above 0 where they were compared.

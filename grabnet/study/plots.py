@@ -74,7 +74,9 @@ def raters(judged: Sequence[Judged], share: float) -> str:
     """Draw how many catch trials raters took for plausible."""
     with mpl.rc_context(_STYLE):
         figure, (axis,) = _figure(1, 2.1)
-        missed = [np.array([j.missed / j.catches for j in judged if j.catches and j.is_kept == kept]) for kept in (1, 0)]
+        missed = [
+            np.array([j.missed / j.catches for j in judged if j.catches and j.is_kept == kept]) for kept in (1, 0)
+        ]
         axis.hist(missed, np.linspace(0, 1, 21), stacked=True, color=COLOURS[:2], label=["count", "left out"])
         axis.axvline(share, color="#28323c", linewidth=1, linestyle="--")
         axis.set_xlabel("share of catch trials taken for plausible")

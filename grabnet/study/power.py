@@ -1,8 +1,8 @@
 """How many raters and grasps a difference of mean answers needs to be found.
 
 Raters and grasps are both drawn from many, and crossed, so that the variance of a difference has a part that only more
-grasps make smaller, one that only more raters do, and a rest (Westfall, Kenny and Judd, Journal of Experimental Psychology:
-General 2014).
+grasps make smaller, one that only more raters do, and a rest (Westfall, Kenny and Judd, Journal of Experimental
+Psychology: General 2014).
 """
 
 from __future__ import annotations
@@ -116,8 +116,8 @@ def planted(model: RaterModel, difference: float) -> RaterModel:
     except ValueError:
         room = model.mean_answer(0)
         raise UserError(
-            f"difference is {difference}; with the first condition at {room:.2f} of 1 to {model.levels} there is no room "
-            "for it."
+            f"difference is {difference}; with the first condition at {room:.2f} of 1 to {model.levels} there is no "
+            "room for it."
         ) from None
 
 
@@ -149,8 +149,12 @@ def run(config: PowerConfig) -> int:
     ]
     needed = [raters_needed(parts, config, g) for g in config.grasps]
     print(f"Power to find a difference of {config.difference:+g} in the mean answer, at the level {config.level:g};")
-    print(f"{config.objects} objects, {config.shown} grasps of each object and condition shown to each rater who counts.")
-    print("grasps per object | " + " ".join(f"{r:>6} raters" for r in config.raters) + f" | raters for {config.power:g}")
+    print(
+        f"{config.objects} objects, {config.shown} grasps of each object and condition shown to each rater who counts."
+    )
+    print(
+        "grasps per object | " + " ".join(f"{r:>6} raters" for r in config.raters) + f" | raters for {config.power:g}"
+    )
     for g, row, least in zip(config.grasps, table, needed, strict=True):
         print(f"{g:>17} | " + " ".join(f"{value:>13.2f}" for value in row) + f" | {_whole(least)}")
     if config.output is not None:
@@ -171,4 +175,3 @@ def _whole(n: float) -> str:
 
 def _finite(n: float) -> int | None:
     return math.ceil(n) if math.isfinite(n) else None
-

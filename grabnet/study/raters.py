@@ -1,7 +1,7 @@
 """Synthetic raters with known tendencies, and the answers that they give.
 
-A rater agrees with a grasp by η = condition + grasp + rater + (rater's own view of the condition) + noise, and answers with
-the level whose thresholds η lies between. Careless raters answer without looking.
+A rater agrees with a grasp by η = condition + grasp + rater + (rater's own view of the condition) + noise, and answers
+with the level whose thresholds η lies between. Careless raters answer without looking.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ _FIELDS = {"study", "session", "list", "platform", "answers"}
 _MOST_SECONDS = 86_400.0
 
 
-class BadRecord(ValueError):
+class RecordError(ValueError):
     """What is wrong with a record or with one of its answers, in a few words that quote nothing of it."""
 
 
@@ -30,86 +30,86 @@ def decode(text: str | bytes) -> Any:
     """A value of JSON, strictly: numbers finite, no key twice.
 
     Raises:
-        BadRecord: it is none.
+        RecordError: it is none.
     """
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         if len({name for name, _ in pairs}) < len(pairs):
-            raise BadRecord("a key is given twice")
+            raise RecordError("a key is given twice")
         return dict(pairs)
 
     def finite(_: str) -> float:
-        raise BadRecord("a number is not finite")
+        raise RecordError("a number is not finite")
 
     try:
         return json.loads(text, object_pairs_hook=once, parse_constant=finite)
     except (ValueError, RecursionError) as error:
-        raise error if isinstance(error, BadRecord) else BadRecord("it is no JSON") from None
+        raise error if isinstance(error, RecordError) else RecordError("it is no JSON") from None
 
 
 def check_frame(record: Any, key: StudyKey) -> None:
     """Check all fields of a record but its answers.
 
     Raises:
-        BadRecord: a field that is missing, unknown, or of another study.
+        RecordError: a field that is missing, unknown, or of another study.
     """
     if not isinstance(record, dict) or record.keys() != _FIELDS:
-        raise BadRecord(f"it must have the fields {', '.join(sorted(_FIELDS))}, and no others")
+        raise RecordError(f"it must have the fields {', '.join(sorted(_FIELDS))}, and no others")
     if record["study"] != key.study:
-        raise BadRecord("it is of another study")
+        raise RecordError("it is of another study")
     if not isinstance(record["session"], str) or not _SESSION.fullmatch(record["session"]):
-        raise BadRecord("session must be 32 hexadecimal digits")
+        raise RecordError("session must be 32 hexadecimal digits")
     if not _is_int(record["list"]) or not 0 <= record["list"] < len(key.lists):
-        raise BadRecord(f"list must be a number below {len(key.lists)}")
+        raise RecordError(f"list must be a number below {len(key.lists)}")
     platform = record["platform"]
     if not isinstance(platform, dict) or not platform.keys() <= set(PLATFORM_IDS):
-        raise BadRecord(f"platform may have {', '.join(PLATFORM_IDS)}, and nothing else")
+        raise RecordError(f"platform may have {', '.join(PLATFORM_IDS)}, and nothing else")
     if not all(isinstance(value, str) and PLATFORM_ID.fullmatch(value) for value in platform.values()):
-        raise BadRecord("ids of the platform must be 1 to 64 letters, digits, - and _")
+        raise RecordError("ids of the platform must be 1 to 64 letters, digits, - and _")
     if not isinstance(record["answers"], list):
-        raise BadRecord("answers must be a list")
+        raise RecordError("answers must be a list")
 
 
 def check_answer(answer: Any, key: StudyKey, number: int) -> None:
     """Check one answer of a record of this list.
 
     Raises:
-        BadRecord: a field that is missing or unknown, a trial that is not of the list, or no possible answer.
+        RecordError: a field that is missing or unknown, a trial that is not of the list, or no possible answer.
     """
     if not isinstance(answer, dict) or answer.keys() != {"videos", "answer", "seconds"}:
-        raise BadRecord("an answer must have the fields videos, answer and seconds, and no others")
+        raise RecordError("an answer must have the fields videos, answer and seconds, and no others")
     videos = answer["videos"]
     if not isinstance(videos, list) or not all(isinstance(name, str) for name in videos):
-        raise BadRecord("videos must be a list of names")
+        raise RecordError("videos must be a list of names")
     if any(name not in key.videos for name in videos):
-        raise BadRecord("an answer is to a video that this study does not have")
+        raise RecordError("an answer is to a video that this study does not have")
     if len(set(videos)) < len(videos) or frozenset(videos) not in key.trials[number]:
-        raise BadRecord("an answer is to a trial that is not in this list")
+        raise RecordError("an answer is to a trial that is not in this list")
     if not _is_int(answer["answer"]) or not 1 <= answer["answer"] <= len(key.levels):
-        raise BadRecord(f"an answer must be a whole number, 1 to {len(key.levels)}")
+        raise RecordError(f"an answer must be a whole number, 1 to {len(key.levels)}")
     seconds = answer["seconds"]
     if not (_is_int(seconds) or isinstance(seconds, float)) or not (
         math.isfinite(seconds) and 0 <= seconds <= _MOST_SECONDS
     ):
-        raise BadRecord("seconds must be a number, 0 to 86400")
+        raise RecordError("seconds must be a number, 0 to 86400")
 
 
 def check_record(record: Any, key: StudyKey) -> None:
     """Check a whole record: every field, and one answer to each trial of its list.
 
     Raises:
-        BadRecord: something is not as it must be.
+        RecordError: something is not as it must be.
     """
     check_frame(record, key)
     number = record["list"]
     if len(record["answers"]) != len(key.trials[number]):
-        raise BadRecord(f"list {number} has {len(key.trials[number])} trials; each needs one answer")
+        raise RecordError(f"list {number} has {len(key.trials[number])} trials; each needs one answer")
     seen = set()
     for answer in record["answers"]:
         check_answer(answer, key, number)
         seen.add(frozenset(answer["videos"]))
     if len(seen) < len(record["answers"]):
-        raise BadRecord("a trial is answered twice")
+        raise RecordError("a trial is answered twice")
 
 
 def _is_int(value: Any) -> bool:

@@ -91,8 +91,8 @@ def _table2(found: Analysis) -> str:
         cells += "".join(_cell(s.difference, signed=True) for s in row[1:])
         lines.append(f"<tr{' class=total' * (name == ALL)}><th>{escape(name)}</th>{cells}</tr>")
     note = (
-        f"Answers from 1, {escape(found.levels[0])}, to {len(found.levels)}, {escape(found.levels[-1])}; std of the single "
-        "answers; all: over all answers. Below the means, the middle 95 % of redrawings of raters and grasps, both at "
+        f"Answers from 1, {escape(found.levels[0])}, to {len(found.levels)}, {escape(found.levels[-1])}; std of the "
+        "single answers; all: over all answers. Below the means, the middle 95 % of redrawings of raters and grasps, both at "
         f"once. For comparison, {' and '.join(_PUBLISHED)}."
     )
     plot = plots.means(found.scores, conditions, objects, len(found.levels))
@@ -110,10 +110,12 @@ def _model(found: Analysis) -> str:
         better = f"{(estimate.drawn > 0).mean():.3f}"
         cells = f"<th>{escape(condition)}</th><td>{escape(name or 'mean of objects')}</td>"
         lines.append(f"<tr{kind}>{cells}{_cell(estimate, signed=True)}{_cell(ratio)}<td>{better}</td></tr>")
-    sds = "; ".join(f"{name.replace('_', chr(39) + 's ')} {estimate.value:.2f}" for name, estimate in model.deviations.items())
+    sds = "; ".join(
+        f"{name.replace('_', chr(39) + 's ')} {estimate.value:.2f}" for name, estimate in model.deviations.items()
+    )
     about = (
-        f"Cumulative logit model with crossed effects of raters and grasps (NumPyro, NUTS): how much the odds of a better "
-        f"answer differ from those of {escape(found.conditions[0])}. Standard deviations of the effects: {escape(sds)}."
+        f"Cumulative logit model with crossed effects of raters and grasps (NumPyro, NUTS): how much the odds of a "
+        f"better answer differ from those of {escape(found.conditions[0])}. Standard deviations of the effects: {escape(sds)}."
     )
     caution = f"<div class=warning>{escape(model.caution)}</div>" if model.caution else ""
     whole = {condition: estimate for (condition, name), estimate in model.differences.items() if name is None}
@@ -139,8 +141,8 @@ def _raters(found: Analysis) -> str:
     why = "; ".join(f"{count} {reason}" for reason, count in reasons.items()) or "none is left out"
     rule = found.record["config"]["filter"]
     text = (
-        f"{len(found.kept)} of {len(found.judged)} raters count: {why}. A rater is left out who rates {rule['level']} or "
-        f"more, or chooses, at least {100 * rule['share']:.0f} % of the catch trials (the paper left out 54 of 170)."
+        f"{len(found.kept)} of {len(found.judged)} raters count: {why}. A rater is left out who rates {rule['level']} "
+        f"or more, or chooses, at least {100 * rule['share']:.0f} % of the catch trials (the paper left out 54 of 170)."
     )
     return f"<p>{escape(text)}</p>{_image(plots.raters(found.judged, rule['share']))}"
 
@@ -189,7 +191,10 @@ def _rating_lines(found: Analysis) -> list[list[Any]]:
 def _latex(found: Analysis) -> str:
     """Table 2's columns of the user study."""
     if not found.scores:
-        rows = [f"{_escaped(n)} & {e.value:.2f} & {e.interval[0]:.2f} & {e.interval[1]:.2f} \\\\" for n, e in found.strengths.items()]
+        rows = [
+            f"{_escaped(n)} & {e.value:.2f} & {e.interval[0]:.2f} & {e.interval[1]:.2f} \\\\"
+            for n, e in found.strengths.items()
+        ]
         return _tabular("lrrr", "condition & strength & low & high", rows)
     conditions = found.ratings.conditions
     heads = " & ".join(rf"\multicolumn{{2}}{{c}}{{{_escaped(name)}}}" for name in conditions)
@@ -203,7 +208,15 @@ def _latex(found: Analysis) -> str:
 
 
 def _tabular(columns: str, head: str, rows: Iterable[str]) -> str:
-    lines = [rf"\begin{{tabular}}{{{columns}}}", r"\hline", rf"{head} \\", r"\hline", *rows, r"\hline", r"\end{tabular}"]
+    lines = [
+        rf"\begin{{tabular}}{{{columns}}}",
+        r"\hline",
+        rf"{head} \\",
+        r"\hline",
+        *rows,
+        r"\hline",
+        r"\end{tabular}",
+    ]
     return "\n".join(lines) + "\n"
 
 

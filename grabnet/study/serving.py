@@ -23,8 +23,8 @@ from grabnet.cli.checks import at_least
 from grabnet.errors import UserError
 from grabnet.io.files import existing
 from grabnet.study.key import ANSWERS, PRIVATE, SITE, StudyKey
-from grabnet.study.records import BadRecord, check_record, decode
-from grabnet.study.store import AnswerStore, Conflict
+from grabnet.study.records import RecordError, check_record, decode
+from grabnet.study.store import AnswerStore, ConflictError
 
 # Sessions and addresses that are kept in mind at most.
 _REMEMBERED = 20_000
@@ -135,7 +135,7 @@ class StudyServer:
         record = await self._json(request)
         try:
             check_record(record, self.key)
-        except BadRecord as wrong:
+        except RecordError as wrong:
             raise web.HTTPBadRequest(text=str(wrong)) from None
         if len(self.store) >= self.config.max_records:
             raise web.HTTPServiceUnavailable(text="the study has all the answers that it takes")
@@ -144,7 +144,7 @@ class StudyServer:
         if self._writing is None or self._writing.done():
             self._writing = asyncio.create_task(self._write())
         outcome = await stored
-        if isinstance(outcome, Conflict):
+        if isinstance(outcome, ConflictError):
             raise web.HTTPConflict(text="this session has sent other answers before")
         if outcome is not None:
             print(f"error: answers cannot be stored: {outcome}", flush=True)
@@ -168,7 +168,7 @@ class StudyServer:
             raise web.HTTPUnsupportedMediaType(text="it must be application/json")
         try:
             return decode(await request.read())
-        except BadRecord as wrong:
+        except RecordError as wrong:
             raise web.HTTPBadRequest(text=str(wrong)) from None
 
     def _may_post(self, address: str) -> bool:
@@ -209,7 +209,9 @@ async def _serve(application: web.Application, config: ServeConfig) -> None:
         await place.start()
     except OSError as error:
         await runner.cleanup()
-        raise UserError(f"{config.host}:{config.port} cannot be served at ({error.strerror}); choose another.") from None
+        raise UserError(
+            f"{config.host}:{config.port} cannot be served at ({error.strerror}); choose another."
+        ) from None
     port = runner.addresses[0][1]
     print(f"Serving at {'https' if secure else 'http'}://{config.host}:{port}/ until Ctrl-C", flush=True)
     ended = asyncio.Event()

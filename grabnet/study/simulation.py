@@ -91,10 +91,8 @@ def run(config: SimulationConfig) -> int:
     """
     output = Path(config.output).expanduser()
     rng = np.random.default_rng([config.seed, 9])
-    if config.export is None:
-        key = config.design.key(config.model.levels, rng)
-    else:
-        key = StudyKey.read(config.export)
+    own = config.export is None
+    key = config.design.key(config.model.levels, rng) if own else StudyKey.read(config.export)
     if key.kind == "rating" and len(key.levels) != config.model.levels:
         raise UserError(f"The study has {len(key.levels)} levels; model.thresholds must be one fewer.")
     found = []
@@ -102,12 +100,12 @@ def run(config: SimulationConfig) -> int:
         answers, careless = simulated_answers(key, config.model, config.raters, config.careless, rng)
         found.append(_rehearse(key, answers, careless, config, repeat))
         if not repeat:
-            _write_answers(output, key, answers, config.export is None)
+            _write_answers(output, key, answers, own)
     summary = _summary(found, config, key)
     write_json(output / "simulation.json", summary | {"config": asdict(config), "provenance": provenance()})
     print(json.dumps(summary, indent=2))
-    where = output if config.export is None else config.export
-    more = "" if config.export is None else f" answers={output / ANSWERS}"
+    where = output if own else config.export
+    more = "" if own else f" answers={output / ANSWERS}"
     print(f"grabnet study analyse export={where}{more} reports the first simulated study")
     return 0
 

@@ -15,7 +15,7 @@ from grabnet.errors import UserError
 from grabnet.io.files import sha256
 
 
-class Conflict(Exception):
+class ConflictError(Exception):
     """The session has stored other answers before."""
 
 
@@ -60,7 +60,7 @@ class AnswerStore:
         """Append records, each of which was checked, and wait until the disk has them.
 
         Returns:
-            for each, None where it is stored, now or by an earlier call; or why it is not: a `Conflict`, an `OSError`.
+            for each, None where it is stored, now or by an earlier call; or why it is not: a `ConflictError`, an `OSError`.
         """
         new: list[dict[str, Any]] = []
         outcomes: list[Exception | None] = []
@@ -69,7 +69,7 @@ class AnswerStore:
             if known is None:
                 self._note(record)
                 new.append(record)
-            outcomes.append(None if known in (None, _digest(record)) else Conflict())
+            outcomes.append(None if known in (None, _digest(record)) else ConflictError())
         if not new:
             return outcomes
         try:

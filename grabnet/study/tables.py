@@ -1,11 +1,11 @@
 """Answers in tables: plain CSV, and the batch files that Mechanical Turk wrote until it closed.
 
-Plain CSV has a line for each answer, with the columns `rater`, `rating`, and either `video` or `object`, `condition` and
-`grasp`; catch trials have the condition `catch`. Further columns are not read.
+Plain CSV has a line for each answer, with the columns `rater`, `rating`, and either `video` or `object`, `condition`
+and `grasp`; catch trials have the condition `catch`. Further columns are not read.
 
-A batch file has a line for each assignment, with `WorkerId`, and for each of its videos a column of the input and one or
-several of the answer: the answer itself, or one column for each level that is `true` or `false`, or `Answer.taskAnswers`
-with all of them as JSON.
+A batch file has a line for each assignment, with `WorkerId`, and for each of its videos a column of the input and one
+or several of the answer: the answer itself, or one column for each level that is `true` or `false`, or
+`Answer.taskAnswers` with all of them as JSON.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from urllib.parse import urlsplit
 
 from grabnet.errors import UserError
 from grabnet.study.key import Shown
-from grabnet.study.records import PLATFORM_IDS, BadRecord, decode
+from grabnet.study.records import PLATFORM_IDS, RecordError, decode
 
 _MOST_COLUMNS = 2000
 
@@ -65,16 +65,16 @@ def read_table(
     named = {"object", "condition", "grasp"} <= columns
     if not {"rater", "rating"} <= columns or not ("video" in columns or named):
         raise UserError(
-            f"{path} needs the columns rater, rating, and video or object, condition and grasp; or, of a batch, WorkerId."
+            f"{path} needs the columns rater, rating, and video or object, condition and grasp; of a batch, WorkerId."
         )
     for line, number in lines:
         row, where = dict(zip(header, line, strict=True)), f"{path.name}, line {number}"
         try:
             name = _named(row, videos) if "video" not in columns else _video(row["video"], videos)
             if not row["rater"].strip():
-                raise BadRecord("it names no rater")
+                raise RecordError("it names no rater")
             answer = _level(row["rating"], levels)
-        except BadRecord as wrong:
+        except RecordError as wrong:
             problems.append(f"{where}: {wrong}; it is left out")
             continue
         platform = {name: row[name] for name in PLATFORM_IDS if row.get(name)}
@@ -97,7 +97,7 @@ def read_videos(path: Path) -> dict[str, Shown]:
         row = dict(zip(header, line, strict=True))
         try:
             name, shown = _stem(row["video"]), _shown(row)
-        except BadRecord as wrong:
+        except RecordError as wrong:
             raise UserError(f"{path}, line {number}: {wrong}.") from None
         if name in videos:
             raise UserError(f"{path}, line {number}, names {name!r} a second time.")
@@ -150,10 +150,10 @@ def _assignment(
     for number, column in pairs.items():
         try:
             if not rater:
-                raise BadRecord("it names no worker")
+                raise RecordError("it names no worker")
             name = _video(row[column], videos)
             answer = _level(_batch_answer(row, number, len(levels), batch), levels)
-        except BadRecord as wrong:
+        except RecordError as wrong:
             problems.append(f"{where}, {column}: {wrong}; it is left out")
             continue
         yield {"rater": rater, "videos": (name,), "answer": answer, "where": where}
@@ -176,13 +176,13 @@ def _batch_answer(row: Mapping[str, str], number: str, n: int, batch: BatchColum
                 return _chosen({str(level): said is True for level, said in value.items()})
             if value is not None:
                 return str(value)
-    raise BadRecord("it has no answer")
+    raise RecordError("it has no answer")
 
 
 def _chosen(levels: Mapping[str, bool]) -> str:
     chosen = [level for level, said in levels.items() if said]
     if len(chosen) != 1:
-        raise BadRecord("it has no answer" if not chosen else "several levels are chosen")
+        raise RecordError("it has no answer" if not chosen else "several levels are chosen")
     return chosen[0]
 
 
@@ -190,19 +190,19 @@ def _level(text: str, levels: Sequence[str]) -> int:
     """1 … n, of a number or of a level's words."""
     text = text.strip()
     if not text:
-        raise BadRecord("it has no answer")
+        raise RecordError("it has no answer")
     words = [level.casefold() for level in levels]
     if text.casefold() in words:
         return words.index(text.casefold()) + 1
     if not re.fullmatch(r"[0-9]{1,3}(\.0{1,6})?", text) or not 1 <= (level := int(float(text))) <= len(levels):
-        raise BadRecord(f"{_quoted(text)} is no answer from 1 to {len(levels)}")
+        raise RecordError(f"{_quoted(text)} is no answer from 1 to {len(levels)}")
     return level
 
 
 def _video(text: str, videos: Mapping[str, Shown]) -> str:
     name = _stem(text)
     if name not in videos:
-        raise BadRecord(f"{_quoted(text)} is no video of this study")
+        raise RecordError(f"{_quoted(text)} is no video of this study")
     return name
 
 
@@ -221,7 +221,7 @@ def _named(row: Mapping[str, str], videos: dict[str, Shown]) -> str:
 def _shown(row: Mapping[str, str]) -> Shown:
     values = [row[name].strip() for name in ("object", "condition", "grasp")]
     if not all(values) or not re.fullmatch(r"[0-9]{1,9}", values[2]):
-        raise BadRecord("it needs an object, a condition, and a grasp's number")
+        raise RecordError("it needs an object, a condition, and a grasp's number")
     return Shown(values[0], values[1], int(values[2]))
 
 

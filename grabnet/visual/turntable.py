@@ -1,7 +1,7 @@
-"""Meshes that turn once about their vertical, drawn fast: the light is painted on them once, not computed in each frame.
+"""Meshes that turn once about their vertical, drawn fast: the light is painted on them once, not in each frame.
 
-Without a graphics card a frame's time goes into lighting its pixels. Lights that stand still with the scene, and surfaces
-that do not shine, give each vertex one colour for all frames.
+Without a graphics card a frame's time goes into lighting its pixels. Lights that stand still with the scene, and
+surfaces that do not shine, give each vertex one colour for all frames.
 """
 
 from __future__ import annotations
