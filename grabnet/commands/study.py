@@ -20,8 +20,8 @@ from omegaconf import DictConfig
 from grabnet.cli.entry import hydra_entry
 from grabnet.cli.help import EXIT_CODES
 
-PATHS = ("output", "runs", "export", "videos", "certificate", "private_key")
-LISTS = ("models", "grasps", "answers")
+PATHS = ("output", "runs", "export", "videos", "reference", "certificate", "private_key")
+LISTS = ("models", "grasps", "conditions", "answers")
 
 
 @hydra_entry("study/export", paths=PATHS, lists=LISTS)

@@ -99,8 +99,8 @@ def fit(ratings: Ratings, config: ModelConfig, seed: int) -> OrdinalFit:
     return OrdinalFit(differences, deviations, _caution(shown, diverging, config, numpyro))
 
 
-# So many ratings say as much about one effect as the deviation that effects are expected to have. The more ratings there
-# are of each effect, the less is gained by sampling it apart from its deviation.
+# So many ratings say as much about one effect as the deviation that effects are expected to have. The more ratings
+# there are of each effect, the less is gained by sampling it apart from its deviation.
 _PRIOR_RATINGS = {"rater": 5, "rater_difference": 30, "grasp": 10}
 
 

@@ -92,8 +92,8 @@ def _table2(found: Analysis) -> str:
         lines.append(f"<tr{' class=total' * (name == ALL)}><th>{escape(name)}</th>{cells}</tr>")
     note = (
         f"Answers from 1, {escape(found.levels[0])}, to {len(found.levels)}, {escape(found.levels[-1])}; std of the "
-        "single answers; all: over all answers. Below the means, the middle 95 % of redrawings of raters and grasps, both at "
-        f"once. For comparison, {' and '.join(_PUBLISHED)}."
+        "single answers; all: over all answers. Below the means, the middle 95 % of redrawings of raters and grasps, "
+        f"both at once. For comparison, {' and '.join(_PUBLISHED)}."
     )
     plot = plots.means(found.scores, conditions, objects, len(found.levels))
     return f"{_table(lines)}<p class=note>{note}</p>{_image(plot)}"
@@ -115,7 +115,8 @@ def _model(found: Analysis) -> str:
     )
     about = (
         f"Cumulative logit model with crossed effects of raters and grasps (NumPyro, NUTS): how much the odds of a "
-        f"better answer differ from those of {escape(found.conditions[0])}. Standard deviations of the effects: {escape(sds)}."
+        f"better answer differ from those of {escape(found.conditions[0])}. Standard deviations of the "
+        f"effects: {escape(sds)}."
     )
     caution = f"<div class=warning>{escape(model.caution)}</div>" if model.caution else ""
     whole = {condition: estimate for (condition, name), estimate in model.differences.items() if name is None}

@@ -60,7 +60,8 @@ class AnswerStore:
         """Append records, each of which was checked, and wait until the disk has them.
 
         Returns:
-            for each, None where it is stored, now or by an earlier call; or why it is not: a `ConflictError`, an `OSError`.
+            for each, None where it is stored, now or by an earlier call; or why it is not: a `ConflictError` or an
+            `OSError`.
         """
         new: list[dict[str, Any]] = []
         outcomes: list[Exception | None] = []
