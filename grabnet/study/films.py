@@ -16,7 +16,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh
-from grabnet.io.files import leftovers
 from grabnet.visual.h264 import required_av, write_video
 from grabnet.visual.pictures import OBJECT, SKIN, Shape, can_render, save_image
 from grabnet.visual.turntable import FilmConfig, Turntable, thinned
@@ -80,7 +79,7 @@ def film(scenes: Sequence[Scene], sets: Sequence[Set], site: Path, config: FilmC
     for folder, suffix in ((VIDEOS, ".mp4"), (POSTERS, ".jpg")):
         (site / folder).mkdir(parents=True, exist_ok=True)
         names = {f"{scene.name}{suffix}" for scene in scenes}
-        for path in [*leftovers(site / folder, f"*{suffix}"), *(site / folder).glob(f"*{suffix}")]:
+        for path in (site / folder).glob(f"*{suffix}"):  # also what a killed process left half-written
             if path.name not in names:
                 path.unlink()
     missing = [scene for scene in scenes if not all(path.exists() for path in _files(site, scene.name))]

@@ -16,8 +16,10 @@ from grabnet.study.filtering import Judged
 from grabnet.study.scores import ALL, Score
 
 COLOURS = ("#3f7d58", "#c5523f", "#e3a64b", "#4b6a9b", "#8a5a9e", "#3b8f9c", "#7a6a53")
-# From worst to best answer.
-_SCALE = mpl.colormaps["RdYlGn"]
+# From worst to best answer; pale enough to write on.
+_SCALE = mpl.colors.LinearSegmentedColormap.from_list(
+    "answers", ("#d9776a", "#f1cdb4", "#eeeeea", "#bfdcc4", "#74b189")
+)
 _STYLE = {
     "font.size": 8.5,
     "axes.edgecolor": "#d9dee3",

@@ -107,7 +107,7 @@ def _model(found: Analysis) -> str:
     for (condition, name), estimate in model.differences.items():
         kind = " class=total" * (name is None)
         ratio = Estimate(float(np.exp(estimate.value)), np.exp(estimate.drawn), estimate.n)
-        better = f"{(estimate.drawn > 0).mean():.3f}"
+        better = _probability(float((estimate.drawn > 0).mean()), len(estimate.drawn))
         cells = f"<th>{escape(condition)}</th><td>{escape(name or 'mean of objects')}</td>"
         lines.append(f"<tr{kind}>{cells}{_cell(estimate, signed=True)}{_cell(ratio)}<td>{better}</td></tr>")
     sds = "; ".join(
@@ -246,6 +246,12 @@ def _summary(found: Analysis) -> dict[str, Any]:
         "left_out": found.answers.problems,
         **found.record,
     }  # fmt: skip
+
+
+def _probability(share: float, draws: int) -> str:
+    """A share of draws, which tell none below one in their number."""
+    least = 1 / draws
+    return f"&lt; {least:.3f}" if share < least else f"&gt; {1 - least:.3f}" if share > 1 - least else f"{share:.3f}"
 
 
 def _odds(strength):

