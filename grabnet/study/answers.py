@@ -118,6 +118,7 @@ def _records(path: Path, key: StudyKey, problems: list[str]) -> list[Answer]:
     """Answers of the records of a file, one a line."""
     rows: list[Answer] = []
     sessions: dict[str, str] = {}
+    raters: set[str] = set()
     for number, line in enumerate(path.read_bytes().splitlines(), 1):
         where = f"{path.name}, line {number}"
         if not line.strip():
@@ -135,10 +136,10 @@ def _records(path: Path, key: StudyKey, problems: list[str]) -> list[Answer]:
             continue
         sessions[session] = content
         rater = record["platform"].get("PROLIFIC_PID", session)
-        given = {row.rater for row in rows}
-        if rater in given:
+        if rater in raters:
             problems.append(f"{where}: rater {rater} has taken part before; the later answers are left out")
             continue
+        raters.add(rater)
         rows += _checked(record, rater, key, where, problems)
     return rows
 

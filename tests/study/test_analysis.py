@@ -289,6 +289,27 @@ def test_pairs_give_strengths():
     assert found["gt"].value == 0 and low < -0.8 < high < 0
 
 
+def test_a_paired_study_is_analysed(tmp_path):
+    key = made_key("paired")
+    key.write(tmp_path)
+    records = []
+    for rater in range(12):
+        record = record_of(key, rater % len(key.lists), rater)
+        for answer in record["answers"]:
+            truth = [key.videos[name].condition for name in answer["videos"]].index("Ground truth")
+            answer["answer"] = 1 + truth
+        records.append(record)
+    write_records(tmp_path, records)
+    assert run(config(f"export={tmp_path}", f"output={tmp_path / 'out'}")) == 0
+    summary = json.loads((tmp_path / "out/analysis.json").read_text())
+    # Never chosen before ground truth in 12 × 4 pairs; half a choice is added each way.
+    n = sum(len(trials) - sum(map(key.is_catch, trials)) for trials in key.lists) * 2
+    assert summary["strengths"]["generated"]["value"] == pytest.approx(np.log(0.5 / (n + 0.5)), abs=1e-3)
+    assert summary["scores"] == [] and summary["raters"] == {"all": 12, "kept": 12}
+    assert "Log strengths" in (tmp_path / "out/report.html").read_text()
+    assert "generated & -" in (tmp_path / "out/table.tex").read_text()
+
+
 def test_the_report_is_one_harmless_page(study, tmp_path, capsys):
     key, folder = study
     records = [judging(key, k % len(key.lists), k) for k in range(8)]

@@ -117,7 +117,7 @@ def test_two_hundred_raters_at_once_then_every_kind_of_attack(unfilmed):
         lists = asyncio.run(everybody(address))
         host, port = address.removeprefix("http://").split(":")
         outside = ["/../private/key.json", "/videos/../../private/key.json", "/%2e%2e/private/key.json",
-                   "/videos/%2e%2e%2f%2e%2e%2fprivate%2fkey.json", "//etc/passwd", "/..\\private\\key.json"]  # fmt: skip
+                   "/videos/%2e%2e%2f%2e%2e%2fprivate%2fkey.json", "//etc/passwd", "/..\\private/key.json"]  # fmt: skip
         for path in outside:
             with socket.create_connection((host, int(port))) as raw:  # as no client writes it
                 raw.sendall(f"GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n".encode())

@@ -94,7 +94,7 @@ def test_power_grows_and_says_how_many_raters_are_needed(capsys, tmp_path):
     assert reached[0] < 0.8 <= reached[1]
     assert power.power(0.0, 1.0, 0.05) == pytest.approx(0.05)
     assert power.planted(MODEL, -0.3).mean_answer(1) == pytest.approx(MODEL.mean_answer(0) - 0.3)
-    for wrong, sentence in [("difference=3", "no room"), ("difference=0", "difference is 0"), ("raters=[]", "raters is"),
+    for wrong, sentence in [("difference=3", "no room"), ("difference=0", "difference is 0"), ("raters=[]", "raters"),
                             ("level=1", "level is 1"), ("model.thresholds=[1,0]", "must ascend")]:  # fmt: skip
         with pytest.raises(UserError, match=sentence):
             power.run(made("power", wrong))

@@ -20,7 +20,7 @@ function welcome(study, place) {
   }));
   const levels = element("p", { class: "text" }, study.kind === "paired" ? `You choose: ${study.levels.join(" or ")}.` :
     `Your answer, from 1 to ${study.levels.length}: ${study.levels.map((level, k) => `${k + 1} ${level}`).join(", ")}.`);
-  const number = element("p", { class: "text" }, `There are ${place.state.order.length} of them.`);
+  const number = element("p", { class: "text" }, `There are ${place.state.order.length} ${study.kind === "paired" ? "pairs" : "videos"}.`);
   const statement = element("p", { class: "statement" }, study.statement);
   const screen = (stimulus, choice) => ({
     type: jsPsychHtmlButtonResponse,
