@@ -1,4 +1,4 @@
-"""Answers on disk: one JSON object a line, only ever appended to, safe before anyone is told so."""
+"""Answers on disk: one JSON object a line, only ever appended to, and on the disk before they are confirmed."""
 
 from __future__ import annotations
 

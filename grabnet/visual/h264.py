@@ -12,7 +12,7 @@ from grabnet.io.files import replacing
 
 
 def write_video(path: str | Path, frames: Iterable[np.ndarray], size: int, fps: int, quality: int) -> None:
-    """Write a video, atomically; equal frames give equal bytes.
+    """Write a video, atomically.
 
     Args:
         path: .mp4
@@ -25,7 +25,7 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], size: int, fps: 
         UserError: PyAV is not installed.
     """
     av = required_av()
-    # One thread: the same bytes on every machine, and as many videos at once as there are cores.
+    # One thread each, for as many videos at once as there are cores. (x264 does not give the same bytes each time.)
     options = {"preset": "veryfast", "crf": str(quality), "threads": "1"}
     with replacing(path) as temporary, av.open(str(temporary), "w", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream("libx264", rate=fps, options=options)

@@ -68,11 +68,14 @@ def test_an_export_goes_on_where_it_was_stopped(export_study, rating_study, copi
     folder = copied(rating_study)
     before = {path.name: path.read_bytes() for path in (folder / "site/videos").iterdir()}
     lost = min(before)
+    film = decoded(folder / "site/videos" / lost)
     (folder / "site/videos" / lost).unlink()
     (folder / "site/videos/.half-abcdefgh.mp4").write_text("half")
     export_study(folder)
     assert "8 videos, 1 of them new" in capsys.readouterr().out
-    assert {path.name: path.read_bytes() for path in (folder / "site/videos").iterdir()} == before
+    assert abs(np.array(decoded(folder / "site/videos" / lost)) - film).mean() < 0.5  # x264 varies by some bytes
+    after = {path.name: path.read_bytes() for path in (folder / "site/videos").iterdir()}
+    assert after.keys() == before.keys() and before | {lost: after[lost]} == after
 
 
 def test_answers_to_another_study_are_not_orphaned(export_study, rating_study, copied):
