@@ -57,7 +57,7 @@ def test_the_ordinal_model_finds_what_was_planted():
     key = made_key(n=8, shown=None)
     model = replace(MODEL, difference=-1.5, grasp=0.5, rater=1.0)
     ratings = rated(model, key, 24, 4)
-    found = fit(ratings, ModelConfig(warmup=120, draws=120, chains=1), 0)
+    found = fit(ratings, ModelConfig(warmup=80, draws=80, chains=1), 0)
     low, high = found.differences["generated", None].interval
     assert low < -1.5 < high < -0.5 and set(found.differences) == {("generated", o) for o in (None, *key.objects)}
     for name, value in (("rater", 1.0), ("grasp", 0.5)):
