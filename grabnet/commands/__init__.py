@@ -16,6 +16,7 @@ COMMANDS = {
     "sample": ("grabnet.commands.sample", "draw grasps of your meshes"),
     "train": ("grabnet.commands.train", "train a network, or sweep over trainings"),
     "evaluate": ("grabnet.commands.evaluate", "measure grasps by the protocols of the paper and the field"),
+    "study": ("grabnet.commands.study", "let people judge grasps: export, serve, analyse, simulate, power"),
     "preprocess": ("grabnet.commands.preprocess", "make training frames of recordings"),
     "unpack": ("grabnet.commands.unpack_grab", "unpack the zip files of GRAB or of the GrabNet data"),
     "import": ("grabnet.commands.import_checkpoint", "convert a published checkpoint"),
