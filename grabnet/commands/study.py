@@ -17,6 +17,7 @@ from collections.abc import Callable
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from grabnet.cli.ends import say
 from grabnet.cli.entry import hydra_entry
 from grabnet.cli.help import EXIT_CODES
 
@@ -24,7 +25,7 @@ PATHS = ("output", "runs", "export", "videos", "reference", "certificate", "priv
 LISTS = ("models", "grasps", "conditions", "answers")
 
 
-@hydra_entry("study/export", paths=PATHS, lists=LISTS)
+@hydra_entry("study/export", paths=PATHS, lists=LISTS, folders=["output"])
 def export(cfg: DictConfig) -> int:
     """Film grasps of models and ground truth, and make the page on which people judge them.
 
@@ -35,7 +36,7 @@ def export(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="all"))
 
 
-@hydra_entry("study/serve", paths=PATHS)
+@hydra_entry("study/serve", paths=PATHS, folders=["export"])
 def serve(cfg: DictConfig) -> int:
     """Serve an exported study, and store the answers.
 
@@ -46,7 +47,7 @@ def serve(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="all"))
 
 
-@hydra_entry("study/analyse", paths=PATHS, lists=LISTS)
+@hydra_entry("study/analyse", paths=PATHS, lists=LISTS, folders=["output"])
 def analyse(cfg: DictConfig) -> int:
     """Filter raters, and report what the others answered.
 
@@ -57,7 +58,7 @@ def analyse(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="all"))
 
 
-@hydra_entry("study/simulate", paths=PATHS)
+@hydra_entry("study/simulate", paths=PATHS, folders=["output"])
 def simulate(cfg: DictConfig) -> int:
     """Rehearse a study with synthetic raters, some of them careless.
 
@@ -68,7 +69,7 @@ def simulate(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="all"))
 
 
-@hydra_entry("study/power", paths=PATHS)
+@hydra_entry("study/power", paths=PATHS, files=["output"])
 def power(cfg: DictConfig) -> int:
     """Say how many raters and grasps a difference of mean answers needs.
 
@@ -100,7 +101,7 @@ def main() -> int:
     if name not in COMMANDS:
         close = difflib.get_close_matches(name, COMMANDS, n=1)
         hint = f"did you mean {close[0]}?" if close else f"it can be {', '.join(COMMANDS)}."
-        print(f"error: There is no command 'study {name}'; {hint}", file=sys.stderr)
+        say(f"There is no command 'study {name}'; {hint}")
         return 2
     sys.argv = [f"grabnet study {name}", *arguments]
     return COMMANDS[name]()

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from grabnet.cli.checks import at_least
+from grabnet.cli.checks import Seed, Several, in_range
 from grabnet.errors import UserError
 from grabnet.evaluation.bootstrap import Estimate
 from grabnet.io.files import sha256
@@ -39,14 +39,15 @@ class AnalysisConfig:
     videos: str | None
     reference: str | None
     output: str
-    draws: int
-    seed: int
+    draws: Several
+    seed: Seed
     filter: FilterConfig
     model: ModelConfig | None
     batch: BatchColumns
+    quiet: bool = False  # for the command
 
     def __post_init__(self):
-        at_least(self, draws=2, seed=0)
+        in_range(self)
         if self.answers is None and self.export is None:
             raise UserError("Name what to analyse: export=<folder of a study>, or answers=<file>, or both.")
 

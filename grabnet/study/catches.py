@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from grabnet.cli.checks import at_least, positive
+from grabnet.cli.checks import Positive, Weight, in_range
 from grabnet.errors import UserError
 from grabnet.evaluation.hands import Hands
 from grabnet.evaluation.recorded import held_out
@@ -35,15 +35,16 @@ class CatchConfig:
         UserError: a value out of range.
     """
 
-    depth: float
-    beyond: float
-    gap: float
-    step: float
-    reach: float
+    depth: Positive
+    beyond: Weight
+    gap: Positive
+    step: Positive
+    reach: Positive
 
     def __post_init__(self):
-        positive(self, "depth", "gap", "step")
-        at_least(self, "catch.", beyond=0, reach=self.step)
+        in_range(self, "catch.")
+        if self.reach < self.step:
+            raise UserError(f"catch.reach is {self.reach}; it must be at least catch.step, {self.step}.")
 
 
 class Measured(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from grabnet.cli.checks import at_least, one_of
+from grabnet.cli.checks import Amount, Concurrent, Count, Seed, in_range, one_of
 from grabnet.data.splits import SPLITS
 from grabnet.errors import UserError
 from grabnet.study.catches import CatchConfig
@@ -51,22 +51,23 @@ class ExportConfig:
     objects: str | list[str]
     conditions: list[str] | None
     evaluation: list[str]
-    n: int
-    catches: int
-    seed: int
+    n: Count
+    catches: Amount
+    seed: Seed
     output: str
     kind: str
-    shown: int | None
-    catches_shown: int | None
-    lists: int
+    shown: Count | None
+    catches_shown: Amount | None
+    lists: Count
     completion_code: str | None
-    processes: int
+    processes: Concurrent
     catch: CatchConfig
     film: FilmConfig
     text: Texts
+    quiet: bool = False  # for the command
 
     def __post_init__(self):
-        at_least(self, n=1, catches=0, seed=0, shown=1, catches_shown=0, lists=1, processes=1)
+        in_range(self)
         one_of(self, kind=KINDS)
         code = self.completion_code
         if code is not None and not (isinstance(code, str) and PLATFORM_ID.fullmatch(code)):

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from joblib import Parallel, delayed
 from PIL import Image
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from grabnet.cli.progress import track
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh
 from grabnet.visual.h264 import required_av, write_video
@@ -90,11 +90,8 @@ def film(scenes: Sequence[Scene], sets: Sequence[Set], site: Path, config: FilmC
         raise UserError(reason)
     pool = Parallel(n_jobs=min(processes, len(missing)), return_as="generator_unordered", batch_size=1)
     jobs = (delayed(_film)(scene, sets[scene.object], site, config) for scene in missing)
-    columns = (TextColumn("Filming"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, transient=True) as progress:
-        bar = progress.add_task("", total=len(missing))
-        for _ in pool(jobs):
-            progress.advance(bar)
+    for _ in track(pool(jobs), "Filming grasps", len(missing)):
+        pass
     return len(missing)
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from grabnet.errors import UserError
+from grabnet.cli.checks import Amount, Range, in_range
 from grabnet.study.answers import Answers
 from grabnet.study.key import CATCH
 
@@ -21,16 +22,12 @@ class FilterConfig:
         UserError: a value out of range.
     """
 
-    level: int
-    share: float
-    least: int
+    level: Annotated[int, Range(2, 9)]
+    share: Annotated[float, Range(0, 1, above=True)]
+    least: Amount
 
     def __post_init__(self):
-        if self.level < 2 or not 0 < self.share <= 1 or self.least < 0:
-            raise UserError(
-                f"filter: level={self.level} must be at least 2, share={self.share} above 0 and at most 1, and "
-                f"least={self.least} at least 0."
-            )
+        in_range(self, "filter.")
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ An export is a folder of two: `site/`, which is served, and `private/`, which is
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -14,12 +13,23 @@ from typing import Any
 
 from grabnet.errors import UserError
 from grabnet.io.files import existing, write_json
+from grabnet.io.state import read_json
 
 SITE, PRIVATE, ANSWERS = "site", "private", "answers.jsonl"
 # Of catch trials, and of the videos in the instructions; no row of an evaluation is called so.
 CATCH, EXAMPLE = "catch", "example"
 # Each trial shows one grasp, or two of which one is chosen.
 KINDS = ("rating", "paired")
+_SHOWN = {"object": str, "condition": str, "grasp": int, "perturbation": (None, {str: object})}
+_KEY = {
+    "study": str,
+    "kind": set(KINDS),
+    "levels": [str],
+    "conditions": [str],
+    "videos": {str: _SHOWN},
+    "lists": [[[str]]],
+    "record": {str: object},
+}
 
 
 @dataclass(frozen=True)
@@ -88,13 +98,9 @@ class StudyKey:
         """
         folder = existing(Path(folder).expanduser(), "Export of a study")
         path = existing(folder / PRIVATE / "key.json", f"{folder} is no export of `grabnet study export`: the key")
-        try:
-            values = json.loads(path.read_text(encoding="utf-8"))
-            videos = {name: Shown(**shown) for name, shown in values.pop("videos").items()}
-            key = cls(videos=videos, **values)
-            unknown = {name for trials in key.lists for trial in trials for name in trial} - videos.keys()
-        except (OSError, ValueError, TypeError, AttributeError, KeyError) as error:
-            raise UserError(f"{path} is damaged ({error}); export the study again.") from None
-        if unknown or key.kind not in KINDS:
-            raise UserError(f"{path} is damaged: its lists or its kind do not fit its videos; export the study again.")
+        values = read_json(path, _KEY, "export the study again")
+        videos = {name: Shown(**{field: shown[field] for field in _SHOWN}) for name, shown in values["videos"].items()}
+        key = cls(**{field: values[field] for field in _KEY} | {"videos": videos})
+        if any(name not in videos for trials in key.lists for trial in trials for name in trial):
+            raise UserError(f"{path} is damaged (its lists name other videos than it has): export the study again.")
         return key

@@ -10,9 +10,11 @@ estimated, too. Objects are those of the study, not drawn from others: a conditi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
+from grabnet.cli.checks import Concurrent, Range, in_range
 from grabnet.errors import UserError
 from grabnet.evaluation.bootstrap import Estimate
 from grabnet.study.scores import Ratings
@@ -30,13 +32,12 @@ class ModelConfig:
     chains: run side by side.
     """
 
-    warmup: int
-    draws: int
-    chains: int
+    warmup: Annotated[int, Range(50, 100_000)]
+    draws: Annotated[int, Range(50, 100_000)]
+    chains: Concurrent
 
     def __post_init__(self):
-        if self.warmup < 50 or self.draws < 50 or self.chains < 1:
-            raise UserError("model: warmup and draws must be at least 50, chains at least 1.")
+        in_range(self, "model.")
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,16 +10,20 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import norm
 
-from grabnet.cli.checks import at_least
+from grabnet.cli.checks import Count, Filled, Range, in_range
 from grabnet.errors import UserError
 from grabnet.io.files import write_json
 from grabnet.io.provenance import provenance
 from grabnet.study.raters import RaterModel
+
+Counts = Annotated[list[Count], Filled()]
+Probability = Annotated[float, Range(1e-6, 1 - 1e-6)]
 
 
 @dataclass(frozen=True)
@@ -31,23 +35,18 @@ class PowerConfig:
     """
 
     difference: float
-    raters: list[int]
-    grasps: list[int]
-    objects: int
-    shown: int
-    level: float
-    power: float
+    raters: Counts
+    grasps: Counts
+    objects: Count
+    shown: Count
+    level: Probability
+    power: Probability
     model: RaterModel
     output: str | None
+    quiet: bool = False  # for the command
 
     def __post_init__(self):
-        at_least(self, objects=1, shown=1)
-        for name in ("raters", "grasps"):
-            if not getattr(self, name) or min(getattr(self, name)) < 1:
-                raise UserError(f"{name} is {list(getattr(self, name))}; it must be numbers, at least 1 each.")
-        for name in ("level", "power"):
-            if not 0 < getattr(self, name) < 1:
-                raise UserError(f"{name} is {getattr(self, name)}; it must be between 0 and 1.")
+        in_range(self)
         if not self.difference:
             raise UserError("difference is 0; no number of raters finds it.")
 

@@ -9,10 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from grabnet.cli.checks import at_least
+from grabnet.cli.checks import Filled, Weight, in_range
 from grabnet.errors import UserError
 from grabnet.study.answers import Answer, Answers
 from grabnet.study.key import CATCH, EXAMPLE, StudyKey
@@ -36,18 +37,18 @@ class RaterModel:
         UserError: a value out of range.
     """
 
-    thresholds: list[float]
+    thresholds: Annotated[list[float], Filled()]
     reference: float
     difference: float
     catch: float
-    grasp: float
-    rater: float
-    own: float
+    grasp: Weight
+    rater: Weight
+    own: Weight
 
     def __post_init__(self):
-        at_least(self, "raters.", grasp=0, rater=0, own=0)
-        if len(self.thresholds) < 1 or list(self.thresholds) != sorted(set(self.thresholds)):
-            raise UserError(f"raters.thresholds is {list(self.thresholds)}; it must ascend.")
+        in_range(self, "model.")
+        if list(self.thresholds) != sorted(set(self.thresholds)):
+            raise UserError(f"model.thresholds is {list(self.thresholds)}; it must ascend.")
 
     @property
     def levels(self) -> int:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from grabnet.cli.ends import say
 from grabnet.evaluation.bootstrap import Estimate
 from grabnet.io.files import replacing, write_json
 from grabnet.study import plots
@@ -38,11 +39,11 @@ def run(config: AnalysisConfig) -> int:
     left = Counter(judged.is_kept for judged in found.judged)
     print(f"{left[True]} of {len(found.judged)} raters count, {left[False]} are left out")
     for problem in found.answers.problems[:20]:
-        print(f"error: {problem}")
+        say(problem)
     if (more := len(found.answers.problems) - 20) > 0:
-        print(f"error: … and {more} more, in report.html")
+        say(f"… and {more} more, in report.html")
     if found.model is not None and found.model.caution:
-        print(f"error: {found.model.caution}")
+        say(found.model.caution)
     print(f"{output / 'report.html'} shows all; figures are in scores.csv, table.tex and analysis.json there")
     return 1 if found.answers.problems or (found.model and found.model.caution) else 0
 

@@ -15,11 +15,12 @@ from collections import OrderedDict
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from aiohttp import web
 
-from grabnet.cli.checks import at_least
+from grabnet.cli.checks import Count, Range, in_range
+from grabnet.cli.ends import say
 from grabnet.errors import UserError
 from grabnet.io.files import existing
 from grabnet.study.key import ANSWERS, PRIVATE, SITE, StudyKey
@@ -51,15 +52,16 @@ class ServeConfig:
 
     export: str
     host: str
-    port: int
-    max_bytes: int
-    posts_per_minute: int
-    max_records: int
+    port: Annotated[int, Range(0, 65_535)]
+    max_bytes: Annotated[int, Range(1000, 100_000_000)]
+    posts_per_minute: Count
+    max_records: Count
     certificate: str | None
     private_key: str | None
+    quiet: bool = False  # for the command
 
     def __post_init__(self):
-        at_least(self, port=0, max_bytes=1000, posts_per_minute=1, max_records=1)
+        in_range(self)
         if (self.certificate is None) != (self.private_key is None):
             raise UserError("certificate and private_key belong together; give both or neither.")
 
@@ -147,7 +149,7 @@ class StudyServer:
         if isinstance(outcome, ConflictError):
             raise web.HTTPConflict(text="this session has sent other answers before")
         if outcome is not None:
-            print(f"error: answers cannot be stored: {outcome}", flush=True)
+            say(f"Answers cannot be stored: {outcome}")
             raise web.HTTPInsufficientStorage(text="the answers could not be stored")
         number = self._given.pop(record["session"], None)
         if number is not None:

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.progress import track
 
-from grabnet.cli.checks import at_least, one_of
+from grabnet.cli.checks import Amount, Count, Seed, Several, Share, in_range, one_of
+from grabnet.cli.progress import track
 from grabnet.errors import UserError
 from grabnet.io.files import write_bytes, write_json
 from grabnet.io.provenance import provenance
@@ -29,15 +29,15 @@ class DesignConfig:
     """A study without videos: how many there would be of what; the values of `export.yaml` of these names."""
 
     kind: str
-    objects: int
-    n: int
-    catches: int
-    shown: int | None
-    catches_shown: int | None
-    lists: int
+    objects: Count
+    n: Count
+    catches: Amount
+    shown: Count | None
+    catches_shown: Amount | None
+    lists: Count
 
     def __post_init__(self):
-        at_least(self, "design.", objects=1, n=1, catches=0, shown=1, catches_shown=0, lists=1)
+        in_range(self, "design.")
         one_of(self, "design.", kind=KINDS)
 
     def key(self, levels: int, rng: np.random.Generator) -> StudyKey:
@@ -64,21 +64,20 @@ class SimulationConfig:
 
     export: str | None
     design: DesignConfig
-    raters: int
-    careless: float
+    raters: Several
+    careless: Share
     model: RaterModel
-    repeats: int
-    fits: int
-    draws: int
-    seed: int
+    repeats: Count
+    fits: Amount
+    draws: Several
+    seed: Seed
     output: str
     filter: FilterConfig
     chains: ModelConfig
+    quiet: bool = False  # for the command
 
     def __post_init__(self):
-        at_least(self, raters=2, repeats=1, fits=0, draws=2, seed=0)
-        if not 0 <= self.careless <= 1:
-            raise UserError(f"careless is {self.careless}; it must be a share, 0 to 1.")
+        in_range(self)
         if self.fits > self.repeats:
             raise UserError(f"fits is {self.fits}; it can be repeats, {self.repeats}, at most.")
 
@@ -96,7 +95,7 @@ def run(config: SimulationConfig) -> int:
     if key.kind == "rating" and len(key.levels) != config.model.levels:
         raise UserError(f"The study has {len(key.levels)} levels; model.thresholds must be one fewer.")
     found = []
-    for repeat in track(range(config.repeats), "Simulating", transient=True):
+    for repeat in track(range(config.repeats), "Simulating studies"):
         answers, careless = simulated_answers(key, config.model, config.raters, config.careless, rng)
         found.append(_rehearse(key, answers, careless, config, repeat))
         if not repeat:

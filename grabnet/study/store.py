@@ -13,6 +13,7 @@ import filelock
 
 from grabnet.errors import UserError
 from grabnet.io.files import sha256
+from grabnet.io.state import parsed_json
 
 
 class ConflictError(Exception):
@@ -103,10 +104,8 @@ class AnswerStore:
     def _read(path: Path) -> Iterator[dict[str, Any]]:
         for line in path.read_bytes().splitlines():
             try:
-                record = json.loads(line)
-                if isinstance(record["session"], str) and isinstance(record["list"], int):
-                    yield record
-            except (ValueError, TypeError, KeyError, RecursionError):
+                yield parsed_json(line, {"session": str, "list": int, "*": object})
+            except ValueError:
                 continue  # a line that was cut off; the analysis names it
 
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from grabnet.cli.checks import at_least
+from grabnet.cli.checks import Range, in_range
 from grabnet.errors import UserError
 from grabnet.visual.pictures import Shape
 
@@ -45,21 +45,18 @@ class FilmConfig:
         UserError: a value out of range.
     """
 
-    size: int
-    seconds: float
-    fps: int
-    elevation: float
-    view_angle: float
-    margin: float
-    supersampling: float
-    faces: int
-    quality: int
+    size: Annotated[int, Range(64, 4096)]
+    seconds: Annotated[float, Range(0.5, 60)]
+    fps: Annotated[int, Range(1, 120)]
+    elevation: Annotated[float, Range(-80, 80)]
+    view_angle: Annotated[float, Range(5, 120)]
+    margin: Annotated[float, Range(0, 0.4)]
+    supersampling: Annotated[float, Range(1, 4)]
+    faces: Annotated[int, Range(100, 10_000_000)]
+    quality: Annotated[int, Range(0, 51)]
 
     def __post_init__(self):
-        at_least(self, "film.", size=64, fps=1, supersampling=1, faces=100, quality=0, seconds=0.5, margin=0)
-        for name, low, high in (("elevation", -80, 80), ("view_angle", 5, 120), ("margin", 0, 0.4), ("quality", 0, 51)):
-            if not low <= getattr(self, name) <= high:
-                raise UserError(f"film.{name} is {getattr(self, name)}; it must be between {low} and {high}.")
+        in_range(self, "film.")
         if self.size % 2:
             raise UserError(f"film.size is {self.size}; it must be even, as H.264 halves the resolution of colours.")
         if self.frames < 2:
