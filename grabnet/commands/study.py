@@ -21,11 +21,18 @@ from grabnet.cli.ends import say
 from grabnet.cli.entry import hydra_entry
 from grabnet.cli.help import EXIT_CODES
 
-PATHS = ("output", "runs", "export", "videos", "reference", "certificate", "private_key")
-LISTS = ("models", "grasps", "conditions", "answers")
+# By command; with names of conditions, which may have any characters, too.
+PATHS = {
+    "export": ("output", "runs"),
+    "serve": ("export", "certificate", "private_key"),
+    "analyse": ("export", "videos", "output", "reference"),
+    "simulate": ("export", "output"),
+    "power": ("output",),
+}
+LISTS = {"export": ("models", "grasps", "conditions"), "analyse": ("answers",)}
 
 
-@hydra_entry("study/export", paths=PATHS, lists=LISTS, folders=["output"])
+@hydra_entry("study/export", paths=PATHS["export"], lists=LISTS["export"], folders=["output"])
 def export(cfg: DictConfig) -> int:
     """Film grasps of models and ground truth, and make the page on which people judge them.
 
@@ -36,7 +43,7 @@ def export(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="all"))
 
 
-@hydra_entry("study/serve", paths=PATHS, folders=["export"])
+@hydra_entry("study/serve", paths=PATHS["serve"], folders=["export"])
 def serve(cfg: DictConfig) -> int:
     """Serve an exported study, and store the answers.
 
@@ -47,7 +54,7 @@ def serve(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="all"))
 
 
-@hydra_entry("study/analyse", paths=PATHS, lists=LISTS, folders=["output"])
+@hydra_entry("study/analyse", paths=PATHS["analyse"], lists=LISTS["analyse"], folders=["output"])
 def analyse(cfg: DictConfig) -> int:
     """Filter raters, and report what the others answered.
 
@@ -58,7 +65,7 @@ def analyse(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="all"))
 
 
-@hydra_entry("study/simulate", paths=PATHS, folders=["output"])
+@hydra_entry("study/simulate", paths=PATHS["simulate"], folders=["output"])
 def simulate(cfg: DictConfig) -> int:
     """Rehearse a study with synthetic raters, some of them careless.
 
@@ -69,7 +76,7 @@ def simulate(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="all"))
 
 
-@hydra_entry("study/power", paths=PATHS, files=["output"])
+@hydra_entry("study/power", paths=PATHS["power"], files=["output"])
 def power(cfg: DictConfig) -> int:
     """Say how many raters and grasps a difference of mean answers needs.
 

@@ -96,7 +96,7 @@ def _evaluation(config: ExportConfig):
 def _chosen(methods: list[Method], config: ExportConfig) -> list[Method]:
     by_name = {method.name: method for method in methods}
     if config.conditions is None:
-        # Parts of a model and the baseline are expected below whole models, which have rank 1.
+        # A model's last row has rank 1: parts of it, what is not optimised, and rows without a network come below.
         return [method for method in methods if method.rank is None or method.rank <= 1]
     if unknown := [name for name in config.conditions if name not in by_name]:
         raise UserError(f"conditions names {unknown[0]!r}; the rows are {', '.join(by_name)}.")

@@ -178,7 +178,7 @@ def test_a_damaged_key_is_said(tmp_path):
     (tmp_path / "private").mkdir()
     for text in ("{", "[]", '{"videos": {}}', '{"videos": {"a": {"x": 1}}}'):
         (tmp_path / "private/key.json").write_text(text)
-        with pytest.raises(UserError, match=r"key.json is damaged .*; export the study again"):
+        with pytest.raises(UserError, match=r"key.json is damaged .*: export the study again"):
             StudyKey.read(tmp_path)
 
 
