@@ -56,7 +56,7 @@ def study_grasps(config: ExportConfig) -> StudyGrasps:
         UserError: conditions, objects, models or data that are missing, or too few grasps.
     """
     inputs = EvaluationInputs(instantiate(_evaluation(config), _convert_="object"))
-    methods = _chosen(make_methods(inputs), config)
+    methods = _chosen(make_methods(inputs, without_network=config.conditions is not None), config)
     grasps = [grasp for method in methods for name in inputs.objects for grasp in _of(method, name, config.n)]
     for number, name in enumerate(inputs.objects):
         truth, seed = inputs.truth[name], config.seed

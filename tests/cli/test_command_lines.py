@@ -87,14 +87,15 @@ def test_study(call, runs, tiny_dataset, cache_dir, tmp_path):
     if (reason := can_render()) is not None:
         pytest.skip(reason)
     data = ["data=frames", f"data.root={tiny_dataset}", "data.split.val=[ring]", "data.split.test=[can]"]
-    evaluation = ",".join(f"'{v}'" for v in [*data, f"cache_dir={tmp_path}", f"data.cache_dir={cache_dir}"])
+    caches = [f"cache_dir={tmp_path}", f"data.cache_dir={cache_dir}"]
+    evaluation = ",".join(f"'{v}'" for v in [*data, *caches, "optimise=2", "candidates=2"])
     few = ["n=2", "catches=2", "shown=null", "catches_shown=2", "lists=2", "processes=1", "film.size=64", "film.fps=4"]
     export = tmp_path / "study"
     places = ["models=[newest]", f"runs={runs}", f"evaluation=[{evaluation}]", f"output={export}"]
     code, out, err = call("study export", *few, *places, "quiet=false")
     assert code == 0 and "8 videos, 8 of them new" in out and "Filming grasps: 0 of 8" in err
     # Of a model only its last row is shown: what it gives as a whole, optimised.
-    assert StudyKey.read(export).conditions == ["Ground truth", "CoarseNet + RefineNet, optimised, best of 4"]
+    assert StudyKey.read(export).conditions == ["Ground truth", "CoarseNet + RefineNet, optimised, best of 2"]
     chains = ["chains.warmup=60", "chains.draws=60", "chains.chains=1"]
     few = ["raters=6", "careless=0", "repeats=2", "fits=1", "draws=20", *chains]
     code, out, err = call("study simulate", *few, f"export={export}", f"output={tmp_path / 'made'}", "quiet=false")

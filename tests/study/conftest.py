@@ -35,7 +35,8 @@ def export_study(tiny_dataset, cache_dir) -> Callable[..., Path]:
     if (reason := can_render()) is not None:
         pytest.skip(reason)
     data = ["data=frames", f"data.root={tiny_dataset}", "data.split.val=[can]", "data.split.test=[ring]"]
-    evaluation = ",".join(f"'{v}'" for v in [*data, f"cache_dir={cache_dir}", f"data.cache_dir={cache_dir}"])
+    plain = ["optimise=0", "candidates=1"]  # without rows that the study does not show
+    evaluation = ",".join(f"'{v}'" for v in [*data, *plain, f"cache_dir={cache_dir}", f"data.cache_dir={cache_dir}"])
     rows = ["models=[]", "conditions=[Ground truth,Naive baseline]", f"evaluation=[{evaluation}]", "processes=1"]
 
     def export(output: Path, *values: str) -> Path:

@@ -205,7 +205,7 @@ def test_files_that_are_none_are_one_sentence(tmp_path, study):
         ([f"answers={folder}/private/answers.jsonl"], "name its study, export="),
         ([f"export={folder}"], "No answer counts: answers.jsonl, line 1"),
         ([], "Name what to analyse"),
-        ([f"export={folder}", "filter.share=0"], "share=0 above 0"),
+        ([f"export={folder}", "filter.share=0"], "filter.share is 0; it must be above 0"),
     ]:
         with pytest.raises(UserError, match=sentence):
             analyse(config(*values))
@@ -317,7 +317,8 @@ def test_the_report_is_one_harmless_page(study, tmp_path, capsys):
     records.append(record_of(key, 0, 99))
     write_records(folder, [*records, '{"<script>": 1}'])
     assert run(config(f"export={folder}", f"output={tmp_path / 'out'}")) == 1
-    assert "8 of 9 raters count, 1 are left out" in (said := capsys.readouterr().out) and "error: answers.jsonl" in said
+    said = capsys.readouterr()
+    assert "8 of 9 raters count, 1 are left out" in said.out and "error: answers.jsonl" in said.err
     page = (tmp_path / "out/report.html").read_text()
     assert "default-src 'none'" in page and not re.search(r"""(src|href)=["'](?!data:|#)""", page)
     assert "<script" not in page and "1 took catch trials for plausible" in page
