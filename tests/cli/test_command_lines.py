@@ -83,7 +83,6 @@ def test_evaluate(call, runs, tiny_dataset, cache_dir, tmp_path):
 def test_study(call, runs, tiny_dataset, cache_dir, tmp_path):
     """From networks to a report; `serve`, which only ends when it is stopped, has tests of its own."""
     pytest.importorskip("av", reason="PyAV encodes the films")
-    pytest.importorskip("numpyro", reason="it fits the ordinal model")
     if (reason := can_render()) is not None:
         pytest.skip(reason)
     data = ["data=frames", f"data.root={tiny_dataset}", "data.split.val=[ring]", "data.split.test=[can]"]
@@ -96,13 +95,12 @@ def test_study(call, runs, tiny_dataset, cache_dir, tmp_path):
     assert code == 0 and "8 videos, 8 of them new" in out and "Filming grasps: 0 of 8" in err
     # Of a model only its last row is shown: what it gives as a whole, optimised.
     assert StudyKey.read(export).conditions == ["Ground truth", "CoarseNet + RefineNet, optimised, best of 2"]
-    chains = ["chains.warmup=60", "chains.draws=60", "chains.chains=1"]
-    few = ["raters=6", "careless=0", "repeats=2", "fits=1", "draws=20", *chains]
+    few = ["raters=6", "careless=0", "repeats=2", "fits=0", "draws=20"]
     code, out, err = call("study simulate", *few, f"export={export}", f"output={tmp_path / 'made'}", "quiet=false")
     assert code == 0 and "Simulating studies: 0 of 2" in err
     answers = [f"export={export}", f"answers=[{tmp_path / 'made' / 'answers.jsonl'}]", f"output={tmp_path / 'found'}"]
-    code, out, err = call("study analyse", *answers, "draws=20", "model.warmup=60", "model.draws=60", "model.chains=1")
-    assert code in (0, 1) and "raters count" in out and (tmp_path / "found" / "report.html").exists()
+    code, out, err = call("study analyse", *answers, "draws=20", "model=null")
+    assert code == 0 and "raters count" in out and (tmp_path / "found" / "report.html").exists()
     code, out, err = call("study power", f"output={tmp_path / 'power.json'}", "quiet=true")
     assert code == 0 and not err and (tmp_path / "power.json").exists()
 
