@@ -69,6 +69,7 @@ def test_the_wheel_holds_code_configs_assets_and_licences(wheel):
     expected = {f"{METADATA['name']}-{METADATA['version']}.dist-info/licenses/LICENSE"}
     for source, target in [("grabnet", "grabnet"), ("hydra_plugins", "hydra_plugins")]:
         expected |= {f"{target}/{p.relative_to(ROOT / source)}" for p in files(source) if p.suffix in (".py", ".html")}
+    expected |= {str(p.relative_to(ROOT)) for p in files("grabnet/study/page")}
     for source in ("configs", "assets"):
         expected |= {f"grabnet/{p.relative_to(ROOT)}" for p in files(source)}
     held = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name or name in expected}

@@ -16,6 +16,7 @@ COMMANDS = {
     "sample": ("grabnet.commands.sample", "draw grasps of your meshes"),
     "train": ("grabnet.commands.train", "train a network, or sweep over trainings"),
     "evaluate": ("grabnet.commands.evaluate", "measure grasps by the protocols of the paper and the field"),
+    "study": ("grabnet.commands.study", "let people judge grasps: export, serve, analyse, simulate, power"),
     "preprocess": ("grabnet.commands.preprocess", "make training frames of recordings"),
     "analyze": ("grabnet.commands.analyze", "make the paper's statistics and figures of a data set"),
     "meshes": ("grabnet.commands.meshes", "write meshes of a recording over time, as film, animation or files"),

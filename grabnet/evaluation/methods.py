@@ -54,13 +54,17 @@ class Method:
         return np.empty(0) if values is None else values[: metric.samples].astype(float) * metric.scale
 
 
-def make_methods(inputs: EvaluationInputs) -> list[Method]:
+def make_methods(inputs: EvaluationInputs, without_network: bool = True) -> list[Method]:
     """Return all methods with their hands, not yet measured.
+
+    Args:
+        inputs: of the evaluation.
+        without_network: the naive baseline and templates, too.
 
     Raises:
         UserError: grasps that cannot be read, or are of no object that is evaluated.
     """
-    methods = [_ground_truth(inputs), *_without_network(inputs), *_models(inputs)]
+    methods = [_ground_truth(inputs), *(_without_network(inputs) if without_network else []), *_models(inputs)]
     return methods + _folders(inputs, {method.name for method in methods})
 
 

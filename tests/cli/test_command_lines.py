@@ -17,6 +17,8 @@ from grabnet.cli import progress
 from grabnet.cli.entry import compose
 from grabnet.commands import COMMANDS
 from grabnet.models.weights import save_network
+from grabnet.study.key import StudyKey
+from grabnet.visual.pictures import can_render
 from tests.cli.test_commands import CONFIG, leaves, typed
 from tests.preprocess.tiny_grab import overrides, write_grab
 from tests.tiny import tiny_overrides
@@ -44,9 +46,9 @@ def call(monkeypatch, capfd):
     def call(command: str, *few: str) -> tuple[int, str, str]:
         values = [f"{key}={typed(value)}" for key, value in leaves(compose(CONFIG[command], few))]
         groups = [given for given in few if given.partition("=")[0] not in {v.partition("=")[0] for v in values}]
-        monkeypatch.setattr(sys, "argv", [command, *groups, *values])
+        monkeypatch.setattr(sys, "argv", [*command.split(), *groups, *values])
         capfd.readouterr()
-        code = importlib.import_module(COMMANDS[command][0]).main()
+        code = importlib.import_module(COMMANDS[command.split()[0]][0]).main()
         return code, *capfd.readouterr()
 
     yield call
@@ -76,6 +78,31 @@ def test_evaluate(call, runs, tiny_dataset, cache_dir, tmp_path):
     shown = {line.partition(":")[0] for line in err.splitlines()}
     cut, drawn = "Cutting objects into convex pieces", "Drawing grasps from CoarseNet + RefineNet"
     assert {cut, drawn, "Measuring grasps", "Reconstruction (train)"} <= shown
+
+
+def test_study(call, runs, tiny_dataset, cache_dir, tmp_path):
+    """From networks to a report; `serve`, which only ends when it is stopped, has tests of its own."""
+    pytest.importorskip("av", reason="PyAV encodes the films")
+    if (reason := can_render()) is not None:
+        pytest.skip(reason)
+    data = ["data=frames", f"data.root={tiny_dataset}", "data.split.val=[ring]", "data.split.test=[can]"]
+    caches = [f"cache_dir={tmp_path}", f"data.cache_dir={cache_dir}"]
+    evaluation = ",".join(f"'{v}'" for v in [*data, *caches, "optimise=2", "candidates=2"])
+    few = ["n=2", "catches=2", "shown=null", "catches_shown=2", "lists=2", "processes=1", "film.size=64", "film.fps=4"]
+    export = tmp_path / "study"
+    places = ["models=[newest]", f"runs={runs}", f"evaluation=[{evaluation}]", f"output={export}"]
+    code, out, err = call("study export", *few, *places, "quiet=false")
+    assert code == 0 and "8 videos, 8 of them new" in out and "Filming grasps: 0 of 8" in err
+    # Of a model only its last row is shown: what it gives as a whole, optimised.
+    assert StudyKey.read(export).conditions == ["Ground truth", "CoarseNet + RefineNet, optimised, best of 2"]
+    few = ["raters=6", "careless=0", "repeats=2", "fits=0", "draws=20"]
+    code, out, err = call("study simulate", *few, f"export={export}", f"output={tmp_path / 'made'}", "quiet=false")
+    assert code == 0 and "Simulating studies: 0 of 2" in err
+    answers = [f"export={export}", f"answers=[{tmp_path / 'made' / 'answers.jsonl'}]", f"output={tmp_path / 'found'}"]
+    code, out, err = call("study analyse", *answers, "draws=20", "model=null")
+    assert code == 0 and "raters count" in out and (tmp_path / "found" / "report.html").exists()
+    code, out, err = call("study power", f"output={tmp_path / 'power.json'}", "quiet=true")
+    assert code == 0 and not err and (tmp_path / "power.json").exists()
 
 
 def test_preprocess(call, cache_dir, tmp_path):

@@ -13,6 +13,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from grabnet.cli.entry import CONFIGS, compose, hydra_entry
 from grabnet.cli.quoting import quoted
 from grabnet.commands import COMMANDS
+from grabnet.commands.study import COMMANDS as STUDY
 from grabnet.errors import UserError
 
 ROOT = Path(__file__).parents[2]
@@ -20,6 +21,7 @@ CONFIG = {name: name for name in ("train", "evaluate", "benchmark")} | {
     name: f"{name}/{name}" for name in ("sample", "preprocess", "analyze")
 }
 CONFIG["meshes"] = "analyze/meshes"
+CONFIG |= {f"study {name}": f"study/{name}" for name in STUDY}
 # Command lines that together have every value of a command.
 LINES = {
     "sample": ["mesh=a.obj", "mesh=a.obj hand_model=a.npz model=[runs/a,runs/b]"],
@@ -43,6 +45,7 @@ LINES = {
         "hand_model=mano hand_model.path=a.npz",
         "callbacks=pruning logger=wandb scheduler=cosine trainer=ddp",
     ],
+    **{f"study {name}": ["export=a"] if name in ("serve", "analyse") else [""] for name in STUDY},
 }
 BOTH = [(command, line) for command, lines in LINES.items() for line in lines]
 AWKWARD = "/ö x/läuf (1), b=c~d/#'2'"
@@ -63,12 +66,17 @@ def typed(value) -> str:
         return f"[{','.join(map(typed, value))}]"
     if value is None:
         return "null"
+    if isinstance(value, str) and re.search(r"[\s,'=]", value):  # a text, which is quoted
+        return "'" + value.replace("'", r"\'") + "'"
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def names(command: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Of the values that are a file name, and that may be several."""
-    module = import_module(COMMANDS[command][0])
+    name, *part = command.split()
+    module = import_module(COMMANDS[name][0])
+    if part:
+        return module.PATHS[part[0]], module.LISTS.get(part[0], ())
     return module.PATHS, getattr(module, "LISTS", ())
 
 
@@ -111,7 +119,7 @@ def test_no_file_name_is_forgotten(command):
     keys = {key for line in LINES[command] for key, _ in leaves(compose(CONFIG[command], line.split()))}
     assert {*paths, *lists} <= keys
     looks = re.compile(r"(^|\.)(\w*dir|root|path|folder|output|release|runs|mesh|grasps|\w+net)$")
-    other = {"callbacks.grasps.grasps"} | ({"runs"} if command == "benchmark" else set())  # numbers
+    other = {"callbacks.grasps.grasps", {"benchmark": "runs", "study power": "grasps"}.get(command)}  # numbers
     assert {key for key in keys if looks.search(key)} - other <= {*paths, *lists}
 
 

@@ -37,8 +37,12 @@ WRITERS = {
     "build   ": "body --folder {}",
     "build    ": "sequences --root {}",
     "build     ": "film a.npz --output {}",
+    "study": "export output={}",
+    "study ": "analyse export=a output={}",
+    "study  ": "simulate output={}",
+    "study   ": "power output={}",
 }
-IS_FILE = {"benchmark", "import", "build  ", "build     "}
+IS_FILE = {"benchmark", "import", "build  ", "build     ", "study   "}
 
 
 def said(capsys, monkeypatch, name: str, *arguments: str) -> tuple[int, str]:

@@ -1,0 +1,113 @@
+"""The grasps that a study compares: rows of the evaluation, and the recorded grasps moved to be catch trials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from hydra.utils import instantiate
+
+from grabnet.cli.entry import compose
+from grabnet.cli.quoting import quoted
+from grabnet.errors import UserError
+from grabnet.evaluation.inputs import EvaluationInputs
+from grabnet.evaluation.methods import Method, make_methods
+from grabnet.geometry.mesh import Mesh
+from grabnet.io.files import sha256
+from grabnet.study.catches import Catches
+from grabnet.study.config import ExportConfig
+from grabnet.study.key import CATCH, EXAMPLE, Shown
+
+
+@dataclass(frozen=True, eq=False)
+class Grasp:
+    """A grasp to show.
+
+    shown: what it is.
+    vertices: (V, 3) and faces (F, 3) of the closed hand, in the frame of the object's mesh, metres.
+    """
+
+    shown: Shown
+    vertices: np.ndarray
+    faces: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class StudyGrasps:
+    """All grasps of a study.
+
+    conditions: names, ground truth first.
+    meshes: of the objects, by name.
+    grasps: of all conditions, the catch trials, and of the first object two examples, plausible and implausible.
+    record: what they were made with.
+    """
+
+    conditions: list[str]
+    meshes: dict[str, Mesh]
+    grasps: list[Grasp]
+    record: dict[str, Any]
+
+
+def study_grasps(config: ExportConfig) -> StudyGrasps:
+    """The grasps that the config names.
+
+    Raises:
+        UserError: conditions, objects, models or data that are missing, or too few grasps.
+    """
+    inputs = EvaluationInputs(instantiate(_evaluation(config), _convert_="object"))
+    methods = _chosen(make_methods(inputs, without_network=config.conditions is not None), config)
+    grasps = [grasp for method in methods for name in inputs.objects for grasp in _of(method, name, config.n)]
+    for number, name in enumerate(inputs.objects):
+        truth, seed = inputs.truth[name], config.seed
+        catches = Catches(inputs.meshes[name], config.catch, seed)
+        examples = 1 if number == 0 else 0
+        hands, made = catches.make(truth, config.catches + examples, seed)
+        faces = truth.closed[1]
+        for i, (vertices, how) in enumerate(zip(hands, made, strict=True)):
+            condition = CATCH if i < config.catches else EXAMPLE
+            grasps.append(Grasp(Shown(name, condition, i, how), vertices, faces))
+        if examples:
+            used = {how["source"] for how in made}
+            plausible = next((i for i in range(len(truth) - 1, -1, -1) if i not in used), 0)
+            grasps.append(Grasp(Shown(name, EXAMPLE, plausible), truth.closed[0][plausible], faces))
+    record = {
+        "models": {model.name: model.record() for model in inputs.models},
+        "objects_sha256": {name: mesh.sha256 for name, mesh in inputs.meshes.items()},
+        "hand_sha256": sha256(inputs.hand.v_template.numpy()),
+    }
+    return StudyGrasps([method.name for method in methods], inputs.meshes, grasps, record)
+
+
+def _evaluation(config: ExportConfig):
+    """The evaluation's config: further values first, so that the export's own stand."""
+    by_split = isinstance(config.objects, str)
+    values = [f"split={config.objects if by_split else 'test'}", f"n={config.n}", f"seed={config.seed}"]
+    values += [f"processes={config.processes}"]
+    if not by_split:
+        values.append(f"only=[{','.join(config.objects)}]")
+    for name in ("models", "runs", "grasps"):
+        value = getattr(config, name)
+        listed = f"[{','.join(value)}]" if isinstance(value, list) else "null" if value is None else value
+        values += quoted([f"{name}={listed}"], ("runs",), ("models", "grasps"))
+    return compose("evaluate", [*config.evaluation, *values])
+
+
+def _chosen(methods: list[Method], config: ExportConfig) -> list[Method]:
+    by_name = {method.name: method for method in methods}
+    if config.conditions is None:
+        # A model's last row has rank 1: parts of it, what is not optimised, and rows without a network come below.
+        return [method for method in methods if method.rank is None or method.rank <= 1]
+    if unknown := [name for name in config.conditions if name not in by_name]:
+        raise UserError(f"conditions names {unknown[0]!r}; the rows are {', '.join(by_name)}.")
+    if len(set(config.conditions)) < len(config.conditions) or len(config.conditions) < 2:
+        raise UserError("conditions must name at least two different rows.")
+    return sorted((by_name[name] for name in config.conditions), key=lambda method: method.rank != 0)
+
+
+def _of(method: Method, name: str, n: int) -> list[Grasp]:
+    hands = method.hands.get(name)
+    if hands is None or len(hands) < n:
+        raise UserError(f"{method.name} has {0 if hands is None else len(hands)} grasps of {name}; n asks for {n}.")
+    vertices, faces = hands.select(slice(0, n)).closed
+    return [Grasp(Shown(name, method.name, i), vertices[i], faces) for i in range(n)]
