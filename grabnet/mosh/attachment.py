@@ -1,9 +1,9 @@
 """Markers that ride on a body's skin: where they are in a pose, and how that changes with the pose.
 
-A marker is a point of the resting body, its latent place, which is skinned with the weights of the skin beneath it. Only
-these points are posed, never the whole body. A change of pose turns each joint by a small rotation vector in the joint's
-own frame, R ← R·exp(δ): a point below the joint then moves by (W·δ) × (point - joint), W being the joint's rotation in the
-world, so that the Jacobian is made of cross products.
+A marker is a point of the resting body, its latent place, which is skinned with the weights of the skin beneath it.
+Only these points are posed, never the whole body. A change of pose turns each joint by a small rotation vector in the
+joint's own frame, R ← R·exp(δ): a point below the joint then moves by (W·δ) × (point - joint), W being the joint's
+rotation in the world, so that the Jacobian is made of cross products.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from grabnet.mosh.so3 import exp
 class Pose(NamedTuple):
     """Poses of F frames.
 
-    rotations: (F, 55, 3, 3) of joints relative to their parents. transl: (F, 3) metres. shape: (F, S) coefficients of the
-    shape directions that are solved for: expression, or betas.
+    rotations: (F, 55, 3, 3) of joints relative to their parents. transl: (F, 3) metres. shape: (F, S) coefficients of
+    the shape directions that are solved for: expression, or betas.
     """
 
     rotations: Tensor

@@ -25,15 +25,15 @@ def choose_frames(positions: np.ndarray, resting: np.ndarray, trunk: np.ndarray,
         where: the capture, for messages.
 
     Raises:
-        UserError: no frame shows three markers of the trunk and half of all; a marker that no frame shows is no error.
+        UserError: no frame shows three markers of the trunk and half of all.
     """
     seen = np.isfinite(positions[..., 0])
     able = ((seen & trunk).sum(1) >= 3) & (seen.mean(1) >= 0.5)
     if not able.any():
         best = int(seen.sum(1).max())
         raise UserError(
-            f"{where}: no frame shows enough of the subject, {best} of {seen.shape[1]} markers at most; half of them and "
-            "three of the trunk's are needed to find out where they sit."
+            f"{where}: no frame shows enough of the subject, {best} of {seen.shape[1]} markers at most; half of them "
+            "and three of the trunk's are needed to find out where they sit."
         )
     candidates = able.nonzero()[0]
     candidates = candidates[:: max(1, len(candidates) // _CANDIDATES)]

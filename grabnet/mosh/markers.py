@@ -79,7 +79,7 @@ class MarkerData:
 def scale_of(unit: str) -> float | None:
     """Metres per unit; None for one that is no length."""
     name = unit.strip().strip("\x00").lower()
-    if name and "meters".startswith(name) or "metres".startswith(name) and name:
+    if name and ("meters".startswith(name) or "metres".startswith(name)):
         return 1.0
     return next((scale for start, scale in _UNITS.items() if start != "m" and name.startswith(start)), None)
 

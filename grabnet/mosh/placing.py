@@ -77,13 +77,14 @@ def draw_layout(path: Path, layout: Layout, body: BodyModel, positions: np.ndarr
     views = render_views([skin, *balls], [(0.15, 0.1, 1), (-0.15, 0.1, -1), (0, 1, 0.15)], (0, 1, 0), (700, 700))
     save_image(path, contact_sheet(views, ["from ahead", "from behind", "from above"], 3))
     rows = "".join(
-        f"<tr><td>{html.escape(m.label)}</td><td>{m.type}</td><td>{m.vertices[0]}</td><td>{1e3 * m.distance:g} mm</td></tr>"
+        f"<tr><td>{html.escape(m.label)}<td>{m.type}<td>{m.vertices[0]}<td>{1e3 * m.distance:g} mm</tr>"
         for m in layout.markers
     )
     page = (
         f"<!doctype html><meta charset=utf-8><title>{html.escape(layout.name)}</title>"
         "<style>body{font-family:sans-serif;margin:2em}td{padding:.1em 1em}</style>"
-        f"<h1>{html.escape(layout.name)}: {len(layout.markers)} markers</h1><img src='{html.escape(path.name)}' width='100%'>"
+        f"<h1>{html.escape(layout.name)}: {len(layout.markers)} markers</h1>"
+        f"<img src='{html.escape(path.name)}' width='100%'>"
         f"<table><tr><th>label<th>type<th>vertex<th>distance</tr>{rows}</table>"
     )
     write_bytes(path.with_suffix(".html"), page.encode())

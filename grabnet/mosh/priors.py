@@ -15,7 +15,7 @@ from grabnet.body.skeleton import JOINTS, LEFT_HAND_JOINTS, RIGHT_HAND_JOINTS
 from grabnet.body.whole import BodyModel
 from grabnet.cli.checks import positive
 
-# Mean and spread of joints by x, y, z of the resting body (left, up, ahead); a left joint's, mirrored for the right one.
+# Mean and spread of joints by x, y, z of the resting body (left, up, ahead); of a left joint, mirrored for the right.
 # Arms hang rather than spread, elbows and knees are hinges, slightly bent.
 _JOINTS = {
     "spine1": ((0.05, 0, 0), (0.25, 0.2, 0.2)),
@@ -47,7 +47,7 @@ class PriorConfig:
         flexion, abduction, twist: spread of a finger's joints about their axes, radians.
         flexed: their mean flexion, radians.
         expression: spread of expression values.
-        missing: factor by which the prior of a frame grows when all markers are missing, in proportion for fewer (ref. 5).
+        missing: how much the prior of a frame grows when all markers are missing, in proportion for fewer (ref. 5).
 
     Raises:
         UserError: a spread or factor that is not above 0.
@@ -108,7 +108,7 @@ def joint_prior(body: BodyModel, config: PriorConfig) -> JointPrior:
 
 
 def _across(flexion: Tensor, body: BodyModel, numbers: tuple[int, ...], local: int) -> Tensor:
-    """A unit vector perpendicular to the flexion axis and roughly to the bone: about it a finger would bend sideways."""
+    """A unit vector perpendicular to flexion axis and bone: about it a finger would bend sideways."""
     joints = body.rest_joints(body.v_template).double()
     bone = joints[numbers[local]] - joints[numbers[local - 1]]
     side = torch.linalg.cross(bone, flexion)

@@ -1,8 +1,8 @@
 """Stage I: where a subject's markers really sit, from a few frames (paper 3.2, S.8).
 
 Unknown are the markers' places on the resting body, which all frames share, and the pose of each frame. The poses are
-eliminated from the normal equations frame by frame (Schur complement); what is left has three unknowns a marker, and the
-betas where no scan gave the shape.
+eliminated from the normal equations frame by frame (Schur complement); what is left has three unknowns a marker, and
+the betas where no scan gave the shape.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.mosh.attachment import Attachment, Pose
 from grabnet.mosh.frames import FrameProblem, missing_factor
-from grabnet.mosh.layouts import DISTANCES, Layout
+from grabnet.mosh.layouts import Layout
 from grabnet.mosh.placing import marker_positions
 from grabnet.mosh.priors import PriorConfig, joint_prior
 from grabnet.mosh.starting import start
@@ -37,7 +37,7 @@ class StageOneConfig:
         frames: that are looked at.
         noise: of a marker in a frame.
         reach: standard deviations beyond which a marker loses its say.
-        body, face, finger: of a marker's true place from the layout's, along the skin.
+        ring: of a marker's true place from the layout's, along the skin, in mean lengths of the edges around it.
         surface: of a marker's distance to the skin from the layout's.
         annealing: factors of the pose prior, one round each (ref. 5).
         iterations: of each round.
@@ -50,17 +50,15 @@ class StageOneConfig:
     frames: int = 12
     noise: float = 0.0015
     reach: float = 10.0
-    body: float = 0.006
-    face: float = 0.003
-    finger: float = 0.0025
+    ring: float = 0.45
     surface: float = 0.0005
-    annealing: tuple[float, ...] = (1.0, 0.5, 0.25, 0.125)
+    annealing: tuple[float, ...] = (1.0, 1.0, 1.0)
     iterations: int = 6
     betas: int = 0
 
     def __post_init__(self):
         at_least(self, frames=1, iterations=1, betas=0)
-        positive(self, "noise", "reach", "body", "face", "finger", "surface")
+        positive(self, "noise", "reach", "ring", "surface")
 
 
 @dataclass(frozen=True)
@@ -123,8 +121,7 @@ class _Solver:
         self.directions = directions
         self.prior_config, self.prior = prior, joint_prior(body, prior)
         self.distance = torch.tensor([marker.distance for marker in layout.markers]).double()
-        spreads = {type_: getattr(config, type_) for type_ in DISTANCES}
-        self.spread = torch.tensor([spreads[marker.type] for marker in layout.markers]).double()
+        self.spread = config.ring * _edges_around(v_template.double(), body.faces, layout)
         self.sigma = torch.full((len(layout.markers),), config.noise, dtype=torch.float64)
         normals = vertex_normals(v_template.double(), body.faces).numpy()
         self.guess = torch.as_tensor(marker_positions(layout, v_template.double().numpy(), normals))
@@ -242,6 +239,18 @@ class _Solver:
             template = self.body.shaped(betas, v_template=self.template)
             latent = self.attachment.rest(self.pose.frames(slice(0, 1)))[0]
         return StageOne(self.layout, latent, template, betas, self.pose, distances)
+
+
+def _edges_around(vertices: Tensor, faces: Tensor, layout: Layout) -> Tensor:
+    """(M,) mean length of the edges that meet where each marker sits, metres."""
+    edges = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    length = (vertices[edges[:, 0]] - vertices[edges[:, 1]]).norm(dim=-1)
+    total, count = torch.zeros(2, len(vertices), dtype=vertices.dtype)
+    for end in edges.T:
+        total.index_add_(0, end, length)
+        count.index_add_(0, end, torch.ones_like(length))
+    corners = torch.tensor([marker.vertices for marker in layout.markers])
+    return (total / count.clamp_min(1))[corners].mean(1)
 
 
 def _barycentric(points: Tensor, corners: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Synthetic captures: recordings become marker files with the faults of real ones, and the truth is known (paper S.8)."""
+"""Synthetic captures: marker files with the faults of real ones, whose truth is known (paper S.8)."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Flaws:
         dropped: markers missing in a frame at most, chosen frame by frame.
         bursts: share of all marker positions that are missing in runs.
         burst_seconds: length of a run, at most.
-        swapped: share of frames in which two neighbouring markers have each other's labels, in runs.
+        swapped: share of all marker positions that carry the label of a marker nearby, in runs.
         ghosts: share of marker positions that are somewhere else, within 15 cm.
 
     Raises:
@@ -128,14 +128,14 @@ def spoilt(positions: np.ndarray, rate: float, flaws: Flaws, seed: int) -> np.nd
     for _ in range(round(flaws.bursts * n * m / mean_length)):
         start, length = rng.integers(-mean_length, n), rng.integers(1, 2 * mean_length + 1)
         found[max(0, start) : start + length, rng.integers(m)] = np.nan
-    _swap(found, positions, round(flaws.swapped * n), mean_length, rng)
+    _swap(found, positions, round(flaws.swapped * n * m / 2), mean_length, rng)
     for t, k in zip(*(rng.random((n, m)) < flaws.ghosts).nonzero(), strict=True):
         found[t, k] = positions[t, k] + rng.uniform(-0.15, 0.15, 3)
     return found
 
 
 def _swap(found: np.ndarray, positions: np.ndarray, n_frames: int, length: int, rng: np.random.Generator) -> None:
-    """Exchange labels of a marker and one of its three nearest, in runs that fill `n_frames` frames altogether."""
+    """Exchange labels of a marker and one of its three nearest, in runs of `n_frames` frames altogether."""
     while n_frames > 0:
         run = min(n_frames, int(rng.integers(1, 2 * length + 1)), len(found))
         start = rng.integers(0, len(found) - run + 1)

@@ -24,7 +24,7 @@ _Rows = list[list[str]]
 
 @dataclass(frozen=True)
 class _Table:
-    """labels: one per marker. rows: of text, one a frame. first: column of the first marker's x. rate, unit: as said."""
+    """labels: one per marker. rows: of text, one a frame. first: column of the first x. rate, unit: as said."""
 
     labels: Sequence[str]
     rows: _Rows

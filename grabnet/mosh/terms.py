@@ -27,7 +27,7 @@ class Normal:
 
 @dataclass(frozen=True)
 class MarkerTerm:
-    """Distances of the markers to where they were seen, robust: those far beyond `reach` lose their say (Geman-McClure).
+    """Distances of the markers to where they were seen; those far beyond `reach` lose their say (Geman-McClure).
 
     Attributes:
         observed: (F, M, 3) metres; NaN where missing.
@@ -111,8 +111,8 @@ class PosePrior:
 class Velocity:
     """Change from one frame to the next against an expected one, in standard deviations.
 
-    The residual of a joint is log(Rᵀ·R′) - v for its rotations R, R′ in neighbouring frames and the expected change v. For
-    v = 0 its gradient is exactly ±weight·residual; its Hessian is taken with unit Jacobians, right to second order.
+    The residual of a joint is log(Rᵀ·R′) - v for its rotations R, R′ in neighbouring frames and the expected change v.
+    For v = 0 its gradient is exactly ±weight·residual; its Hessian is taken with unit Jacobians, right to second order.
 
     Args:
         weight: (n,) inverse variances of the change of each unknown per frame.

@@ -1,0 +1,159 @@
+"""Stage II: the pose of every frame, given where the markers sit (paper 3.2, S.8).
+
+Few frames are solved from nothing, more from what lies between those, and then all together from what lies between
+these: a handful of Gauss-Newton sweeps suffices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from grabnet.cli.checks import at_least, positive
+from grabnet.errors import UserError
+from grabnet.mosh.attachment import Attachment, Pose
+from grabnet.mosh.frames import FrameProblem, missing_factor, solve_frames
+from grabnet.mosh.priors import JointPrior, PriorConfig
+from grabnet.mosh.so3 import exp, log
+from grabnet.mosh.starting import start
+from grabnet.mosh.sweeps import Windows, sweep
+from grabnet.mosh.terms import MarkerTerm, PosePrior, Velocity
+
+_FINGERS = 25  # the first joint of a hand
+_ROUGH, _FINE = 64, 8  # frames between those solved from nothing, and from what lies between
+
+
+@dataclass(frozen=True)
+class StageTwoConfig:
+    """How frames are solved.
+
+    Attributes:
+        noise: standard deviation of a marker, its place on the skin and the model's error included, metres.
+        reach: standard deviations beyond which a marker loses its say.
+        turn: standard deviation of a joint's change per frame from the expected one, radians, at 120 frames per second.
+        finger_turn: of a finger's joint.
+        shift: of the body's place, metres.
+        smooth: seconds over which the expected change is averaged; 0 to expect none.
+        sweeps: over all frames.
+        window, windows: frames of a window and windows side by side, which bound memory.
+
+    Raises:
+        UserError: a value out of range.
+    """
+
+    noise: float = 0.0018
+    reach: float = 8.0
+    turn: float = 0.004
+    finger_turn: float = 0.01
+    shift: float = 0.001
+    smooth: float = 0.03
+    sweeps: int = 3
+    window: int = 64
+    windows: int = 4
+
+    def __post_init__(self):
+        at_least(self, smooth=0, sweeps=1, window=2, windows=1)
+        positive(self, "noise", "reach", "turn", "finger_turn", "shift")
+
+
+def stage_two(
+    attachment: Attachment,
+    observed: Tensor,
+    rate: float,
+    prior: JointPrior,
+    prior_config: PriorConfig,
+    config: StageTwoConfig,
+    trunk: Tensor,
+    progress: Callable[[int], None] = lambda frames: None,
+) -> Pose:
+    """Solve a recording.
+
+    Args:
+        attachment: of the markers, at their latent places.
+        observed: (T, M, 3) where they were seen, metres; NaN where missing.
+        rate: frames per second.
+        prior, prior_config: of poses.
+        config: the settings.
+        trunk: (M,) which markers are on the trunk.
+        progress: is given the frames done, in shares of all the work.
+
+    Raises:
+        UserError: no frame shows three markers.
+    """
+    t = len(observed)
+    if not (observed[..., 0].isfinite().sum(1) >= 3).any():
+        raise UserError("no frame shows three markers of the body")
+    problem = frame_problem(attachment, observed, prior, prior_config, config)
+    pose = _first_poses(problem, prior, trunk)
+    progress(t // 4)
+    velocity = velocity_term(attachment, rate, config)
+    windows = Windows(config.window, config.windows, config.smooth * rate)
+    damping = torch.full((t,), 1e-4, dtype=torch.float64)
+    for number in range(config.sweeps if t > 1 else 0):
+        pose = sweep(problem, velocity, pose, damping, windows, number)
+        progress(t * 3 // 4 // config.sweeps)
+    return pose
+
+
+def frame_problem(
+    attachment: Attachment, observed: Tensor, prior: JointPrior, prior_config: PriorConfig, config: StageTwoConfig
+) -> FrameProblem:
+    """The frames by themselves."""
+    observed = observed.to(attachment.dtype)
+    sigma = torch.full((attachment.n_markers,), config.noise, dtype=attachment.dtype)
+    shape_sigma = torch.full((attachment.n_shapes,), prior_config.expression)
+    return FrameProblem(
+        attachment,
+        MarkerTerm(observed, sigma, config.reach),
+        PosePrior(attachment, prior, shape_sigma),
+        missing_factor(observed, prior_config.missing),
+    )
+
+
+def velocity_term(attachment: Attachment, rate: float, config: StageTwoConfig) -> Velocity:
+    """What joins frames; spreads grow with the time between them."""
+    turn = torch.where(attachment.joints >= _FINGERS, config.finger_turn, config.turn).repeat_interleave(3)
+    sigma = torch.cat([torch.full((3,), config.shift), turn, torch.full((attachment.n_shapes,), 0.1)])
+    return Velocity(((sigma * 120 / rate) ** -2).to(attachment.dtype), attachment.joints)
+
+
+def _first_poses(problem: FrameProblem, prior: JointPrior, trunk: Tensor) -> Pose:
+    """Poses of all frames, from those of a few."""
+    observed = problem.markers.observed
+    t, seen = len(observed), observed[..., 0].isfinite()
+    rough = _best_seen(seen, trunk, _ROUGH)
+    pose, cost = start(problem.frames(rough), prior, trunk)
+    rough, pose = _without_failures(rough, pose, cost, observed)
+    fine = torch.arange(0, t, _FINE)
+    pose, _ = solve_frames(problem.frames(fine).reaching(20.0), between(pose, rough, fine), 8)
+    return between(pose, fine, torch.arange(t))
+
+
+def _best_seen(seen: Tensor, trunk: Tensor, every: int) -> Tensor:
+    """Of each `every` frames the one that shows most; the trunk counts most."""
+    worth = seen.float().mean(1) + 2 * (seen & trunk).float().mean(1)
+    return torch.stack([s + worth[s : s + every].argmax() for s in range(0, len(seen), every)])
+
+
+def _without_failures(frames: Tensor, pose: Pose, cost: Tensor, observed: Tensor) -> tuple[Tensor, Pose]:
+    """Leave out frames that show too little, or whose cost says that the body lies otherwise than it should."""
+    seen = observed[frames][..., 0].isfinite().sum(1)
+    good = (cost / seen.clamp_min(1) < 4 * (cost / seen.clamp_min(1)).median()) & (seen >= 3)
+    good &= pose.transl.isfinite().all(1)
+    good = good if good.any() else seen >= 3
+    return frames[good], pose.frames(good)
+
+
+def between(pose: Pose, at: Tensor, asked: Tensor) -> Pose:
+    """Poses at frames `asked` from those at frames `at` (ascending): evenly in between, held beyond."""
+    after = torch.searchsorted(at, asked).clamp(max=len(at) - 1)
+    before = torch.where(at[after] > asked, after - 1, after).clamp(min=0)
+    span = (at[after] - at[before]).clamp(min=1)
+    share = ((asked - at[before]) / span).clamp(0, 1).to(pose.transl.dtype)
+    turn = log(pose.rotations[before].mT @ pose.rotations[after]) * share[:, None, None]
+    mix = [a + share.unsqueeze(1) * (b - a) for a, b in ((pose.transl[before], pose.transl[after]),
+                                                        (pose.shape[before], pose.shape[after]))]  # fmt: skip
+    return Pose(pose.rotations[before] @ exp(turn), *mix)
