@@ -112,6 +112,11 @@ def stage_one(
     return solver.result()
 
 
+def on_trunk(attachment: Attachment) -> Tensor:
+    """(M,) which markers move with the trunk more than with anything else."""
+    return attachment.weights[:, _TRUNK].sum(1) > 0.6
+
+
 class _Solver:
     """The state of Stage I: places, poses, and what they are attached to."""
 
@@ -127,7 +132,7 @@ class _Solver:
         self.guess = torch.as_tensor(marker_positions(layout, v_template.double().numpy(), normals))
         self.latent, self.damping = self.guess.clone(), 1e-3
         self.reattach()
-        trunk = self.attachment.weights[:, _TRUNK].sum(1) > 0.6
+        trunk = on_trunk(self.attachment)
         self.pose, _ = start(self._problem(1.0, 1.0), self.prior, trunk)
         if shared_shape:
             self.pose.shape[:] = 0
