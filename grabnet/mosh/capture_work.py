@@ -89,6 +89,7 @@ class CaptureWork:
         prior, config, limits: settings.
         max_gap: frames of an object's gap that is interpolated.
         tolerance: metres beyond which an object's marker is an outlier.
+        smooth: frames to either side over which an object's pose is averaged.
         threads: of torch.
         dtype: float32, or float64 at twice the time.
     """
@@ -105,6 +106,7 @@ class CaptureWork:
     limits: Limits
     max_gap: int
     tolerance: float
+    smooth: int
     threads: int
     dtype: str = "float32"
 
@@ -183,7 +185,7 @@ class CaptureWork:
             return NO_OBJECT, None, (), [f"No object of the layout is among the prefixes {known}: none is followed."]
         moving = max(present, key=lambda p: _travel(markers.under(p)))
         notes = [f"Several objects are there, {', '.join(present)}: the one that moves most, {moving}, is followed."]
-        motion, kept = follow_object(markers.under(moving), layouts[moving], self.tolerance, self.max_gap)
+        motion, kept = follow_object(markers.under(moving), layouts[moving], self.tolerance, self.max_gap, self.smooth)
         unknown = int((~motion.solved & ~motion.filled).sum())
         notes = notes[: len(present) > 1]
         if unknown:
@@ -192,7 +194,7 @@ class CaptureWork:
 
 
 def follow_object(
-    markers: MarkerData, layout: ObjectLayout, tolerance: float, max_gap: int
+    markers: MarkerData, layout: ObjectLayout, tolerance: float, max_gap: int, smooth: int
 ) -> tuple[RigidMotion, tuple[str, ...]]:
     """Follow an object of a layout; also the labels that were used.
 
@@ -205,7 +207,7 @@ def follow_object(
         raise UserError(f"{layout.name} has {len(kept)} markers of its layout, and 3 are needed")
     try:
         positions, observed = torch.as_tensor(layout.positions[kept]), torch.as_tensor(markers.pick(labels).positions)
-        return follow(positions, observed, tolerance, max_gap), labels
+        return follow(positions, observed, tolerance, max_gap, smooth=smooth), labels
     except DegenerateMarkersError as error:
         raise UserError(f"{layout.name} cannot be followed: {error}") from None
 

@@ -68,7 +68,12 @@ class RigidMotion:
 
 
 def follow(
-    positions: Tensor, observed: Tensor, tolerance: float = 0.004, max_gap: int = 12, weights: Tensor | None = None
+    positions: Tensor,
+    observed: Tensor,
+    tolerance: float = 0.004,
+    max_gap: int = 12,
+    weights: Tensor | None = None,
+    smooth: int = 0,
 ) -> RigidMotion:
     """Follow an object by its markers.
 
@@ -81,6 +86,7 @@ def follow(
         tolerance: metres beyond which a marker is an outlier.
         max_gap: frames of a gap that is interpolated.
         weights: (M,) trust in each marker; equal when omitted.
+        smooth: frames to either side that a parabola is fitted through, to average noise out; 0 to leave it.
 
     Raises:
         DegenerateMarkersError: no frame can be solved.
@@ -103,6 +109,9 @@ def follow(
         )
     off = _distances(positions, observed, rotation, transl)
     rotation, transl, gap = _bridged(rotation, transl, solved)
+    if smooth:
+        rotation, transl = _smoothed(rotation, transl, positions.mean(0), smooth)
+        off = torch.where(solved.unsqueeze(1), _distances(positions, observed, rotation, transl), torch.nan)
     return RigidMotion(rotation, transl, solved, ~solved & (gap <= max_gap), off)
 
 
@@ -137,6 +146,21 @@ def _bridged(rotation: Tensor, transl: Tensor, solved: Tensor) -> tuple[Tensor, 
     outside = (t < at[0]) | (t > at[-1])
     gap = torch.where(outside, len(t) + 1, b - a - 1)
     return rotation[a] @ exp(turn), transl[a] + share.unsqueeze(1) * (transl[b] - transl[a]), gap
+
+
+def _smoothed(rotation: Tensor, transl: Tensor, middle: Tensor, reach: int) -> tuple[Tensor, Tensor]:
+    """The value at each frame of the parabolas that fit turn, and place of the middle, best in the frames around."""
+    t, offsets = torch.arange(len(transl)), torch.arange(-reach, reach + 1)
+    powers = torch.stack([offsets.double() ** k for k in range(3)], 1)
+    weights = torch.linalg.pinv(powers)[0]  # of the values around in the parabola's at 0
+    place = transl + rotation @ middle
+    turn, shift = torch.zeros_like(transl), torch.zeros_like(transl)
+    for weight, offset in zip(weights, offsets.tolist(), strict=True):
+        other = (t + offset).clamp(0, len(t) - 1)
+        turn += weight * log(rotation.mT @ rotation[other])
+        shift += weight * (place[other] - place)
+    rotation = rotation @ exp(turn)
+    return rotation, place + shift - rotation @ middle
 
 
 def model_of(observed: Tensor) -> Tensor:

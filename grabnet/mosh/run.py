@@ -75,6 +75,7 @@ class MoshConfig:
     limits: Limits
     max_gap: int
     tolerance: float
+    object_smooth: int
     pictures: bool
     backend: str
     workers: int
@@ -84,7 +85,7 @@ class MoshConfig:
 
     def __post_init__(self):
         one_of(self, backend=("joblib", "dask"), gender=("male", "female", "neutral"))
-        at_least(self, stage_one_captures=1, max_gap=0, workers=1, max_deaths=1, threads=1)
+        at_least(self, stage_one_captures=1, max_gap=0, object_smooth=0, workers=1, max_deaths=1, threads=1)
         positive(self, "tolerance")
         if (self.backend == "dask") != (self.dask_address is not None):
             raise UserError("backend=dask and dask_address=tcp://… belong together: give both or neither.")
@@ -123,7 +124,7 @@ def run(config: MoshConfig) -> int:
         _write_things(config)
         work = CaptureWork(
             captures, config.root, placement, subject, config.reading, config.objects, config.meshes, config.prior,
-            config.stage_two, config.limits, config.max_gap, config.tolerance, config.threads,
+            config.stage_two, config.limits, config.max_gap, config.tolerance, config.object_smooth, config.threads,
         )  # fmt: skip
         outcomes = list(_work(config, work))
         failures = sorted((o for o in outcomes if o.failure), key=lambda o: o.name)
@@ -148,6 +149,7 @@ def _recipe(config: MoshConfig) -> dict[str, Any]:
         "gender": config.gender,
         "max_gap": config.max_gap,
         "tolerance": config.tolerance,
+        "object_smooth": config.object_smooth,
         **{f"{key}_sha256": None if path is None else sha256(existing(path, key)) for key, path in files.items()},
         **settings,
     }

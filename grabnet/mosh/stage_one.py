@@ -38,6 +38,7 @@ class StageOneConfig:
         noise: of a marker in a frame.
         reach: standard deviations beyond which a marker loses its say.
         ring: of a marker's true place from the layout's, along the skin, in mean lengths of the edges around it.
+        place: the same for all markers, in metres; replaces `ring`.
         surface: of a marker's distance to the skin from the layout's.
         annealing: factors of the pose prior, one round each (ref. 5).
         iterations: of each round.
@@ -51,6 +52,7 @@ class StageOneConfig:
     noise: float = 0.0015
     reach: float = 10.0
     ring: float = 0.45
+    place: float | None = None
     surface: float = 0.0005
     annealing: tuple[float, ...] = (1.0, 1.0, 1.0)
     iterations: int = 6
@@ -90,6 +92,7 @@ def stage_one(
     config: StageOneConfig,
     prior: PriorConfig,
     directions: Tensor | None = None,
+    fixed: tuple[int, ...] = (),
 ) -> StageOne:
     """Find the places of a subject's markers.
 
@@ -101,10 +104,11 @@ def stage_one(
         config: the settings.
         prior: of poses.
         directions: (V, 3, S) expression directions that are solved for in each frame; not with betas.
+        fixed: joints that are not solved for.
     """
     shared_shape = config.betas > 0
     dirs = body.shapedirs[..., : config.betas] if shared_shape else directions
-    solver = _Solver(body, v_template, layout, torch.as_tensor(positions), config, prior, dirs, shared_shape)
+    solver = _Solver(body, v_template, layout, torch.as_tensor(positions), config, prior, dirs, shared_shape, fixed)
     for round_, factor in enumerate(config.annealing):
         for _ in range(config.iterations):
             solver.step(factor, 3 if round_ == 0 else 1)
@@ -120,13 +124,15 @@ def on_trunk(attachment: Attachment) -> Tensor:
 class _Solver:
     """The state of Stage I: places, poses, and what they are attached to."""
 
-    def __init__(self, body, v_template, layout, observed, config, prior, directions, shared_shape):
+    def __init__(self, body, v_template, layout, observed, config, prior, directions, shared_shape, fixed):
         self.body, self.config, self.shared_shape = body, config, shared_shape
         self.template, self.layout, self.observed = v_template, layout, observed.double()
-        self.directions = directions
+        self.directions, self.fixed = directions, fixed
         self.prior_config, self.prior = prior, joint_prior(body, prior)
         self.distance = torch.tensor([marker.distance for marker in layout.markers]).double()
         self.spread = config.ring * _edges_around(v_template.double(), body.faces, layout)
+        if config.place is not None:
+            self.spread = torch.full_like(self.spread, config.place)
         self.sigma = torch.full((len(layout.markers),), config.noise, dtype=torch.float64)
         normals = vertex_normals(v_template.double(), body.faces).numpy()
         self.guess = torch.as_tensor(marker_positions(layout, v_template.double().numpy(), normals))
@@ -153,7 +159,9 @@ class _Solver:
         normals = (normals * weights.unsqueeze(-1)).sum(1)
         self.normal = normals / normals.norm(dim=-1, keepdim=True)
         self.foot = (self.template.double()[corners] * weights.unsqueeze(-1)).sum(1)
-        self.attachment = Attachment(self.body, self.template, self.layout, self.latent, self.directions, torch.float64)
+        self.attachment = Attachment(
+            self.body, self.template, self.layout, self.latent, self.directions, torch.float64, self.fixed
+        )
 
     def step(self, factor: float, reach: float) -> None:
         """One step of Levenberg and Marquardt on places and poses together."""

@@ -28,7 +28,7 @@ class Subject:
         name: as in s1, which names the folder of the recordings.
         gender: whose model is used, and folder of the templates.
         template: file of the person's resting body, with the model's vertices; None where the shape is solved for.
-            Hands are taken from `<name>_rhand.ply` and `<name>_lhand.ply` beside it, or else have the models' mean shape.
+            Hands are those of `<name>_rhand.ply` and `<name>_lhand.ply` beside it, or else of the models' mean shape.
         models: folder with MANO's and SMPL-X's files, in it or in its `mano` and `smplx`; the open ones when None.
 
     Raises:

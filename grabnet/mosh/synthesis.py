@@ -104,10 +104,20 @@ def posed_vertices(
 
 def clean_markers(sequence: Sequence, body: BodyModel, v_template: Tensor, layout: Layout) -> np.ndarray:
     """(T, M, 3) where the markers are, free of noise; float64."""
-    positions = [
-        marker_positions(layout, vertices.double().numpy(), vertex_normals(vertices.double(), body.faces).numpy())
-        for vertices in posed_vertices(sequence.body, body, v_template)
-    ]
+    corners = torch.tensor([marker.vertices for marker in layout.markers])
+    faces = body.faces[torch.isin(body.faces, corners).any(1)]  # their normals need no others
+    around, numbered = faces.unique(return_inverse=True)
+    own = torch.searchsorted(around, corners)
+    there = replace(
+        layout,
+        markers=tuple(
+            replace(marker, vertices=tuple(those.tolist())) for marker, those in zip(layout.markers, own, strict=True)
+        ),
+    )
+    positions = []
+    for vertices in posed_vertices(sequence.body, body, v_template):
+        near = vertices[:, around].double()
+        positions.append(marker_positions(there, near.numpy(), vertex_normals(near, numbered).numpy()))
     return np.concatenate(positions)
 
 
