@@ -37,7 +37,7 @@ PUBLISHED = {"vanilla": ((4.76, 1.03, 4.55), (5.59, 1.86, 5.28)), "ours": ((3.09
 _FACE_JOINTS = tuple(JOINTS.index(name) for name in ("jaw", "left_eye", "right_eye"))
 _HANDS = 25  # the first joint of a hand
 _BATCH = 64
-OBJECT_SMOOTH = 10  # frames to either side over which an object's pose is averaged, as in configs/mosh/mosh.yaml
+OBJECT_SMOOTH = 10  # frames to either side over which an object's pose is averaged: mosh.yaml's
 
 
 @dataclass(frozen=True)

@@ -130,7 +130,7 @@ def run(config: MoshConfig) -> int:
         failures = sorted((o for o in outcomes if o.failure), key=lambda o: o.name)
         write_json(config.root / "mosh/failures.json", {o.name: o.failure for o in failures})
         if config.pictures:
-            _draw(config, placement, outcomes)
+            _draw(config, work, outcomes)
         reports = {name: json.loads(report_path(config.root, name).read_text()) for name in captures
                    if report_path(config.root, name).exists()}  # fmt: skip
         _summarise(config, reports, outcomes, time.monotonic() - began)
@@ -242,13 +242,16 @@ def _is_done(root: Path, name: str, capture: Path) -> bool:
     return json.loads(report.read_text())["sha256"] == sha256(capture)
 
 
-def _draw(config: MoshConfig, placement: Placement, outcomes: list[Outcome]) -> None:
+def _draw(config: MoshConfig, work: CaptureWork, outcomes: list[Outcome]) -> None:
+    """Draw what was solved; where no film can be made, say why once."""
     from grabnet.mosh.drawing import draw_quality
 
-    for outcome in outcomes:
-        if not outcome.failure and (reason := draw_quality(config.root, outcome.name, placement, config.reading)):
-            print(reason)
-            break
+    placement, reasons = work.placement, set()
+    for name in (outcome.name for outcome in outcomes if not outcome.failure):
+        markers = config.reading.of_subject(config.reading.read(work.captures[name]), placement.layout)
+        reasons.add(draw_quality(config.root, name, markers, placement.layout, placement.latent, work.subject.body))
+    for reason in reasons - {None}:
+        print(reason)
 
 
 def _summarise(config: MoshConfig, reports: dict[str, Any], outcomes: list[Outcome], seconds: float) -> None:
