@@ -18,7 +18,7 @@ from grabnet.mosh.assembling import NO_OBJECT
 from grabnet.mosh.attachment import Attachment, Pose
 from grabnet.mosh.layouts import Layout
 from grabnet.mosh.markers import MarkerData
-from grabnet.mosh.placing import TYPE_COLORS
+from grabnet.mosh.placing import TYPE_COLORS, balls
 from grabnet.mosh.quality import marker_residuals
 from grabnet.visual.pictures import OBJECT, SKIN, Shape, can_render, render
 
@@ -102,7 +102,7 @@ def _film(
     for k, frame in enumerate(frames):
         with torch.no_grad():
             skin = body(sequence.body.parameters(np.array([frame])), v_template).vertices[0].numpy()
-        shapes = [Shape(skin, body.faces.numpy(), SKIN, 0.55), _balls(observed[frame], residuals[frame])]
+        shapes = [Shape(skin, body.faces.numpy(), SKIN, 0.55), _seen(observed[frame], residuals[frame])]
         shapes += _sticks(observed[frame], model[frame])
         if thing is not None:
             shapes.append(Shape(thing[0][k], thing[1], OBJECT))
@@ -113,15 +113,11 @@ def _film(
         first.save(temporary, save_all=True, append_images=others, duration=duration, loop=0)
 
 
-def _balls(places: np.ndarray, residuals: np.ndarray) -> Shape:
+def _seen(places: np.ndarray, residuals: np.ndarray) -> Shape:
     """Balls at the markers that are seen, from green to red by their residuals."""
-    ball = trimesh.creation.icosphere(1, 0.007)
     seen = np.isfinite(residuals).nonzero()[0]
     bad = np.clip(residuals[seen] / _WORST, 0, 1)[:, None]
-    colors = (1 - bad) * [0.1, 0.6, 0.2] + bad * [0.9, 0.1, 0.1]
-    vertices = (places[seen, None] + ball.vertices).reshape(-1, 3)
-    faces = (ball.faces + len(ball.vertices) * np.arange(len(seen))[:, None, None]).reshape(-1, 3)
-    return Shape(vertices, faces, np.repeat(colors, len(ball.vertices), 0))
+    return balls(places[seen], np.full(len(seen), 0.007), (1 - bad) * [0.1, 0.6, 0.2] + bad * [0.9, 0.1, 0.1])
 
 
 def _sticks(observed: np.ndarray, model: np.ndarray) -> list[Shape]:

@@ -68,13 +68,10 @@ def draw_layout(path: Path, layout: Layout, body: BodyModel, positions: np.ndarr
     """
     if reason := can_render():
         return reason
-    balls = [
-        Shape(ball.vertices, ball.faces, TYPE_COLORS[marker.type])
-        for marker, at in zip(layout.markers, positions, strict=True)
-        for ball in [_ball(at, 0.009 if marker.type == "body" else 0.003)]
-    ]
+    radii = np.where(layout.types == "body", 0.009, 0.003)
+    markers = balls(positions, radii, np.array([TYPE_COLORS[marker.type] for marker in layout.markers]))
     skin = Shape(body.v_template.numpy(), body.faces.numpy(), SKIN)
-    views = render_views([skin, *balls], [(0.15, 0.1, 1), (-0.15, 0.1, -1), (0, 1, 0.15)], (0, 1, 0), (700, 700))
+    views = render_views([skin, markers], [(0.15, 0.1, 1), (-0.15, 0.1, -1), (0, 1, 0.15)], (0, 1, 0), (700, 700))
     save_image(path, contact_sheet(views, ["from ahead", "from behind", "from above"], 3))
     rows = "".join(
         f"<tr><td>{html.escape(m.label)}<td>{m.type}<td>{m.vertices[0]}<td>{1e3 * m.distance:g} mm</tr>"
@@ -91,7 +88,9 @@ def draw_layout(path: Path, layout: Layout, body: BodyModel, positions: np.ndarr
     return None
 
 
-def _ball(at: np.ndarray, radius: float) -> trimesh.Trimesh:
-    ball = trimesh.creation.icosphere(1, radius)
-    ball.apply_translation(at)
-    return ball
+def balls(places: np.ndarray, radii: np.ndarray, colors: np.ndarray) -> Shape:
+    """One shape of M balls at places (M, 3), of radii (M,) and colours (M, 3)."""
+    ball = trimesh.creation.icosphere(1, 1.0)
+    vertices = (places[:, None] + radii[:, None, None] * ball.vertices).reshape(-1, 3)
+    faces = (ball.faces + len(ball.vertices) * np.arange(len(places))[:, None, None]).reshape(-1, 3)
+    return Shape(vertices, faces, np.repeat(colors, len(ball.vertices), 0))

@@ -27,6 +27,7 @@ from grabnet.mosh.starting import start
 from grabnet.mosh.terms import MarkerTerm, PosePrior
 
 _TRUNK = (0, 3, 6, 9)  # joints
+_REATTACH = 2  # steps after which markers are attached to the skin that is then beneath them
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class StageOneConfig:
     place: float | None = None
     surface: float = 0.0005
     annealing: tuple[float, ...] = (1.0, 1.0, 1.0)
-    iterations: int = 6
+    iterations: int = 12
     betas: int = 0
 
     def __post_init__(self):
@@ -110,9 +111,11 @@ def stage_one(
     dirs = body.shapedirs[..., : config.betas] if shared_shape else directions
     solver = _Solver(body, v_template, layout, torch.as_tensor(positions), config, prior, dirs, shared_shape, fixed)
     for round_, factor in enumerate(config.annealing):
-        for _ in range(config.iterations):
+        for number in range(config.iterations):
             solver.step(factor, 3 if round_ == 0 else 1)
-        solver.reattach()
+            if number % _REATTACH == _REATTACH - 1:
+                solver.reattach()
+    solver.reattach()
     return solver.result()
 
 
@@ -134,9 +137,11 @@ class _Solver:
         if config.place is not None:
             self.spread = torch.full_like(self.spread, config.place)
         self.sigma = torch.full((len(layout.markers),), config.noise, dtype=torch.float64)
-        normals = vertex_normals(v_template.double(), body.faces).numpy()
-        self.guess = torch.as_tensor(marker_positions(layout, v_template.double().numpy(), normals))
+        normals = vertex_normals(v_template.double(), body.faces)
+        self.guess = torch.as_tensor(marker_positions(layout, v_template.double().numpy(), normals.numpy()))
         self.latent, self.damping = self.guess.clone(), 1e-3
+        self.query = MeshQuery(Mesh(v_template.numpy(), body.faces.numpy()))
+        self.normals = normals
         self.reattach()
         trunk = on_trunk(self.attachment)
         self.pose, _ = start(self._problem(1.0, 1.0), self.prior, trunk)
@@ -145,9 +150,7 @@ class _Solver:
 
     def reattach(self) -> None:
         """Attach the markers to the skin that is now nearest to them."""
-        vertices = self.template.double().numpy()
-        query = MeshQuery(Mesh(vertices, self.body.faces.numpy()))
-        found = query.closest(self.latent.float())
+        found = self.query.closest(self.latent.float())
         corners = self.body.faces[found.face]
         weights = _barycentric(found.position.double(), self.template.double()[corners])
         markers = tuple(
@@ -155,8 +158,7 @@ class _Solver:
             for marker, corner, weight in zip(self.layout.markers, corners, weights, strict=True)
         )
         self.layout = Layout(self.layout.name, self.layout.n_vertices, markers)
-        normals = vertex_normals(self.template.double(), self.body.faces)[corners]
-        normals = (normals * weights.unsqueeze(-1)).sum(1)
+        normals = (self.normals[corners] * weights.unsqueeze(-1)).sum(1)
         self.normal = normals / normals.norm(dim=-1, keepdim=True)
         self.foot = (self.template.double()[corners] * weights.unsqueeze(-1)).sum(1)
         self.attachment = Attachment(

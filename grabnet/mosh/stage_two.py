@@ -23,7 +23,11 @@ from grabnet.mosh.sweeps import Windows, sweep
 from grabnet.mosh.terms import MarkerTerm, PosePrior, Velocity
 
 _FINGERS = 25  # the first joint of a hand
-_ROUGH, _FINE = 64, 8  # frames between those solved from nothing, and from what lies between
+_ROUGH, _FINE = 0.5, 1 / 15  # seconds between frames solved from nothing, and from what lies between those
+_REACH = 20.0  # of the markers where a pose may be far off, standard deviations
+_TURNED = 0.6  # radians that no joint turns in between two frames that are not far apart
+_DOUBTFUL = 1.5  # times the usual cost
+_FAILED = 4.0  # times the usual cost of a marker: a frame whose markers cost more lies otherwise than it should
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ def stage_two(
     if not (observed[..., 0].isfinite().sum(1) >= 3).any():
         raise UserError("no frame shows three markers of the body")
     problem = frame_problem(attachment, observed, prior, prior_config, config)
-    pose = _first_poses(problem, prior, trunk)
+    pose = _first_poses(problem, prior, trunk, rate)
     progress(t // 4)
     velocity = velocity_term(attachment, rate, config)
     windows = Windows(config.window, config.windows, config.smooth * rate)
@@ -120,16 +124,39 @@ def velocity_term(attachment: Attachment, rate: float, config: StageTwoConfig) -
     return Velocity(((sigma * 120 / rate) ** -2).to(attachment.dtype), attachment.joints)
 
 
-def _first_poses(problem: FrameProblem, prior: JointPrior, trunk: Tensor) -> Pose:
+def _first_poses(problem: FrameProblem, prior: JointPrior, trunk: Tensor, rate: float) -> Pose:
     """Poses of all frames, from those of a few."""
-    observed = problem.markers.observed
+    observed, reach, problem = problem.markers.observed, problem.markers.reach, problem.reaching(_REACH)
     t, seen = len(observed), observed[..., 0].isfinite()
-    rough = _best_seen(seen, trunk, _ROUGH)
+    rough = _best_seen(seen, trunk, max(1, round(_ROUGH * rate)))
     pose, cost = start(problem.frames(rough), prior, trunk)
-    rough, pose = _without_failures(rough, pose, cost, observed)
-    fine = torch.arange(0, t, _FINE)
-    pose, _ = solve_frames(problem.frames(fine).reaching(20.0), between(pose, rough, fine), 8)
-    return between(pose, fine, torch.arange(t))
+    good = ~_failed(cost, seen[rough])
+    rough, pose = rough[good], pose.frames(good)
+    fine = torch.arange(0, t, max(1, round(_FINE * rate)))
+    pose, _ = solve_frames(problem.frames(fine), between(pose, rough, fine), 8)
+    pose = _second_opinion(problem.frames(fine).reaching(reach), fine, pose)
+    good = (seen[fine].sum(1) >= 3) & pose.transl.isfinite().all(1)
+    good = good if good.any() else torch.ones_like(good)
+    return between(pose.frames(good), fine[good], torch.arange(t))
+
+
+def _second_opinion(problem: FrameProblem, frames: Tensor, pose: Pose) -> Pose:
+    """Solve frames that differ much from the next, or cost more than usual, from what lies between those that don't.
+
+    A wrong label can flip a foot: seen from its neighbours' pose the marker is an outlier.
+    """
+    cost = problem.cost(pose)
+    turned = log(pose.rotations[:-1].mT @ pose.rotations[1:]).norm(dim=-1).amax(1) > _TURNED
+    doubtful = ~(cost < _DOUBTFUL * cost.nanmedian())
+    doubtful[1:] |= turned
+    doubtful[:-1] |= turned
+    if not doubtful.any() or doubtful.all():
+        return pose
+    beside = between(pose.frames(~doubtful), frames[~doubtful], frames[doubtful])
+    other, better = solve_frames(problem.frames(doubtful), beside, 8)
+    better = ~(better >= cost[doubtful])
+    pose.put(doubtful.nonzero().squeeze(1)[better], other.frames(better))
+    return pose
 
 
 def _best_seen(seen: Tensor, trunk: Tensor, every: int) -> Tensor:
@@ -138,13 +165,10 @@ def _best_seen(seen: Tensor, trunk: Tensor, every: int) -> Tensor:
     return torch.stack([s + worth[s : s + every].argmax() for s in range(0, len(seen), every)])
 
 
-def _without_failures(frames: Tensor, pose: Pose, cost: Tensor, observed: Tensor) -> tuple[Tensor, Pose]:
-    """Leave out frames that show too little, or whose cost says that the body lies otherwise than it should."""
-    seen = observed[frames][..., 0].isfinite().sum(1)
-    good = (cost / seen.clamp_min(1) < 4 * (cost / seen.clamp_min(1)).median()) & (seen >= 3)
-    good &= pose.transl.isfinite().all(1)
-    good = good if good.any() else seen >= 3
-    return frames[good], pose.frames(good)
+def _failed(cost: Tensor, seen: Tensor) -> Tensor:
+    """(F,) frames that show too little, or whose cost says that the body lies otherwise than it should; never all."""
+    each = torch.where(seen.sum(1) >= 3, cost / seen.sum(1).clamp_min(1), torch.inf).nan_to_num(torch.inf)
+    return ~(each <= _FAILED * each.median().clamp_max(each.min() * 100)) & (each > each.min())
 
 
 def between(pose: Pose, at: Tensor, asked: Tensor) -> Pose:

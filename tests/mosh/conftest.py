@@ -9,6 +9,7 @@ from grabnet.body.whole import BodyModel, BodyParameters
 from grabnet.io.shipped import shipped
 from grabnet.mosh.layouts import Layout, read_layout
 from grabnet.mosh.placing import marker_positions
+from grabnet.mosh.priors import PriorConfig, joint_prior
 from grabnet.mosh.so3 import exp
 from grabnet.mosh.synthesis import in_one_ring
 
@@ -16,18 +17,20 @@ LAYOUTS = shipped("configs") / "mosh/layouts"
 
 
 class Actor:
-    """The open body with 99 markers in the 1-ring of their places, moving smoothly: legs, arms, fingers and jaw."""
+    """The open body with 99 markers in the 1-ring of their places, moving smoothly and as the prior expects."""
 
     def __init__(self, frames: int = 24, seed: int = 0):
         self.body = BodyModel.open()
         self.layout: Layout = read_layout(LAYOUTS / "open_body_grab99.yaml", len(self.body.v_template))
         self.truth = in_one_ring(self.layout, self.body.faces.numpy(), seed)
         generator = torch.Generator().manual_seed(seed)
-        waves = torch.randn(3, 55, 3, generator=generator, dtype=torch.float64) * 0.25
-        waves[:, 22:25] *= 0.2  # jaw and eyes
-        waves[:, 23:25] = 0
+        prior = joint_prior(self.body, PriorConfig())
+        spread = torch.linalg.cholesky(torch.linalg.inv(prior.precision + 1e-9 * torch.eye(3)))
+        spread[0], spread[23:25] = 0.3 * torch.eye(3), 0  # the pelvis is free, the eyes carry no markers
+        waves = (spread @ torch.randn(3, 55, 3, 1, generator=generator, dtype=torch.float64)).squeeze(-1)
         time = torch.linspace(0, 1, frames).double()[:, None, None]
-        turn = waves[0] + waves[1] * torch.sin(2.0 * time) + 0.5 * waves[2] * torch.sin(5 * time)
+        turn = prior.mean + 0.5 * (waves[0] + waves[1] * torch.sin(2 * time) + waves[2] * torch.sin(5 * time))
+        turn[:, 23:25] = 0
         self.rotations = exp(turn)
         self.transl = torch.stack([time[:, 0, 0], 0 * time[:, 0, 0], 1 + 0.1 * time[:, 0, 0]], 1)
         self.parameters = BodyParameters.from_rotations(self.rotations.float(), self.transl.float())
