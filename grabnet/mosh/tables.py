@@ -130,9 +130,8 @@ def _plain(path: Path, rows: _Rows) -> _Table:
     time = next((i for i, cell in enumerate(header[:first]) if cell.lower().startswith("time")), None)
     rate = None
     if time is not None and len(body) > 1:
-        seconds = np.array([_number(row[time]) for row in body[:100]])
-        step = float(np.median(np.diff(seconds)))
-        rate = 1 / step if step > 0 else None
+        lasts = _number(body[-1][time]) - _number(body[0][time])
+        rate = (len(body) - 1) / lasts if lasts > 0 else None
     return _Table(labels, body, first, rate, "")
 
 

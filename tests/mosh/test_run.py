@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hydra import compose, initialize_config_dir
+from hydra.errors import InstantiationException
+from hydra.utils import instantiate
 
+from grabnet.body.hand import HandModel
+from grabnet.cli.entry import CONFIGS
 from grabnet.data.sequences import read_sequence
+from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh, save_mesh
 from grabnet.mosh.layouts import spread_markers, write_object_layouts
+from grabnet.mosh.run import MoshConfig, run
 from grabnet.mosh.synthesis import Flaws, spoilt
 from tests.mosh.conftest import LAYOUTS, Actor
 
@@ -26,6 +34,12 @@ def mosh(*arguments: str) -> subprocess.CompletedProcess:
     env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
     command = [sys.executable, "-m", "grabnet", "mosh", *arguments]
     return subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True)
+
+
+def config(*overrides: str) -> MoshConfig:
+    """The command's config, in this process."""
+    with initialize_config_dir(str(CONFIGS / "mosh"), version_base="1.3"):
+        return instantiate(compose("mosh", [*overrides]), _convert_="all")
 
 
 def write_csv(path: Path, labels: list[str], positions: np.ndarray, rate: float = 24) -> None:
@@ -81,8 +95,6 @@ def test_captures_become_recordings_and_are_not_solved_twice(lab, tmp_path, acto
     # The hands are where the body has them.
     template = actor.body.v_template
     wrist = actor.body(sequence.body.parameters(), template).joints[:, 21]
-    from grabnet.body.hand import HandModel
-
     hand = HandModel.open()
     joints = hand(sequence.rhand.parameters(), hand.v_template.expand(24, -1, -1)).joints[:, 0]
     assert (joints - wrist).norm(dim=1).max() < 1e-5
@@ -91,10 +103,10 @@ def test_captures_become_recordings_and_are_not_solved_twice(lab, tmp_path, acto
     assert report["body"]["frames"] == 24
 
     before = path.stat().st_mtime_ns
-    assert mosh(*arguments(lab, tmp_path / "out")).returncode == 0
+    assert run(config(*arguments(lab, tmp_path / "out"))) == 0
     assert path.stat().st_mtime_ns == before
-    other = mosh(*arguments(lab, tmp_path / "out", "stage_two.noise=0.003"))
-    assert other.returncode == 2 and "was started with stage_two.noise=0.0018, now it is 0.003" in other.stderr
+    with pytest.raises(UserError, match=r"was started with stage_two.noise=0.0018, now it is 0.003"):
+        run(config(*arguments(lab, tmp_path / "out", "stage_two.noise=0.003")))
 
 
 @pytest.mark.parametrize(
@@ -111,22 +123,26 @@ def test_captures_become_recordings_and_are_not_solved_twice(lab, tmp_path, acto
         (("workers=0",), "workers is 0; it must be at least 1"),
     ],
 )
-def test_what_cannot_start_says_so_in_one_sentence(lab, tmp_path, change, sentence):
-    ended = mosh(*arguments(lab, tmp_path / "out", *change))
-    assert ended.returncode == 2 and sentence in ended.stderr, ended.stderr
-    assert ended.stderr.startswith("error: ") and "Traceback" not in ended.stderr
+def test_what_cannot_start_is_refused_in_one_sentence(lab, tmp_path, change, sentence):
+    with pytest.raises((UserError, InstantiationException), match=re.escape(sentence)):
+        run(config(*arguments(lab, tmp_path / "out", *change)))
 
 
-def test_a_capture_that_fails_leaves_the_others(lab, tmp_path):
+def test_refusals_end_the_command():
+    ended = mosh("capture=nowhere.c3d")
+    assert ended.returncode == 2 and ended.stderr.startswith("error: Capture nowhere.c3d does not exist")
+
+
+def test_a_capture_that_fails_leaves_the_others(lab, tmp_path, capsys):
     captures = tmp_path / "captures"
     captures.mkdir()
     (captures / "box_lift_1.csv").write_text((lab / "captures/box_lift_2.csv").read_text())
     lines = (lab / "captures/box_lift_2.csv").read_text().splitlines()
     (captures / "empty_lift_1.csv").write_text("\n".join([lines[0], *(f"{t},{t / 24:.6f}" for t in range(4))]))
     command = arguments(lab, tmp_path / "out", f"capture={captures}", "stage_one_captures=1")
-    ended = mosh(*command)
-    assert ended.returncode == 1
-    assert "error: s9/empty_lift_1:" in ended.stderr and "are missing in all 4 frames" in ended.stderr
+    assert run(config(*command)) == 1
+    said = capsys.readouterr().err
+    assert "error: s9/empty_lift_1:" in said and "are missing in all 4 frames" in said
     assert (tmp_path / "out/grab/s9/box_lift_1.npz").exists()
     assert "empty_lift_1" in (tmp_path / "out/mosh/failures.json").read_text()
 
