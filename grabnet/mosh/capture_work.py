@@ -89,7 +89,7 @@ class CaptureWork:
         prior, config, limits: settings.
         max_gap: frames of an object's gap that is interpolated.
         tolerance: metres beyond which an object's marker is an outlier.
-        smooth: frames to either side over which an object's pose is averaged.
+        smooth: seconds to either side over which an object's pose is averaged.
         threads: of torch.
         dtype: float32, or float64 at twice the time.
     """
@@ -106,7 +106,7 @@ class CaptureWork:
     limits: Limits
     max_gap: int
     tolerance: float
-    smooth: int
+    smooth: float
     threads: int
     dtype: str = "float32"
 
@@ -185,7 +185,9 @@ class CaptureWork:
             return NO_OBJECT, None, (), [f"No object of the layout is among the prefixes {known}: none is followed."]
         moving = max(present, key=lambda p: _travel(markers.under(p)))
         notes = [f"Several objects are there, {', '.join(present)}: the one that moves most, {moving}, is followed."]
-        motion, kept = follow_object(markers.under(moving), layouts[moving], self.tolerance, self.max_gap, self.smooth)
+        motion, kept = follow_object(
+            markers.under(moving), layouts[moving], self.tolerance, self.max_gap, round(self.smooth * markers.rate)
+        )
         unknown = int((~motion.solved & ~motion.filled).sum())
         notes = notes[: len(present) > 1]
         if unknown:

@@ -149,14 +149,20 @@ def _bridged(rotation: Tensor, transl: Tensor, solved: Tensor) -> tuple[Tensor, 
 
 
 def _smoothed(rotation: Tensor, transl: Tensor, middle: Tensor, reach: int) -> tuple[Tensor, Tensor]:
-    """The value at each frame of the parabolas that fit turn, and place of the middle, best in the frames around."""
-    t, offsets = torch.arange(len(transl)), torch.arange(-reach, reach + 1)
-    powers = torch.stack([offsets.double() ** k for k in range(3)], 1)
-    weights = torch.linalg.pinv(powers)[0]  # of the values around in the parabola's at 0
+    """The value at each frame of the parabolas that fit turn, and place of the middle, best in the frames around.
+
+    Towards the ends fewer frames are taken, as many before as after.
+    """
+    t, last = torch.arange(len(transl)), len(transl) - 1
+    reaches = torch.minimum(t, last - t).clamp(max=reach)
+    weights = torch.zeros(reach + 1, 2 * reach + 1, dtype=transl.dtype)  # by a frame's reach and the offset from it
+    for r in range(reach + 1):
+        powers = torch.stack([torch.arange(-r, r + 1).double() ** k for k in range(3)], 1)
+        weights[r, reach - r : reach + r + 1] = torch.linalg.pinv(powers)[0]  # of the values in the parabola's at 0
     place = transl + rotation @ middle
     turn, shift = torch.zeros_like(transl), torch.zeros_like(transl)
-    for weight, offset in zip(weights, offsets.tolist(), strict=True):
-        other = (t + offset).clamp(0, len(t) - 1)
+    for column, offset in enumerate(range(-reach, reach + 1)):
+        other, weight = (t + offset).clamp(0, last), weights[reaches, column].unsqueeze(1)
         turn += weight * log(rotation.mT @ rotation[other])
         shift += weight * (place[other] - place)
     rotation = rotation @ exp(turn)

@@ -75,7 +75,7 @@ class MoshConfig:
     limits: Limits
     max_gap: int
     tolerance: float
-    object_smooth: int
+    object_smooth: float
     pictures: bool
     backend: str
     workers: int
