@@ -17,6 +17,7 @@ COMMANDS = {
     "train": ("grabnet.commands.train", "train a network, or sweep over trainings"),
     "evaluate": ("grabnet.commands.evaluate", "measure grasps by the protocols of the paper and the field"),
     "preprocess": ("grabnet.commands.preprocess", "make training frames of recordings"),
+    "mosh": ("grabnet.commands.mosh", "make recordings of motion-capture markers"),
     "unpack": ("grabnet.commands.unpack_grab", "unpack the zip files of GRAB or of the GrabNet data"),
     "import": ("grabnet.commands.import_checkpoint", "convert a published checkpoint"),
     "build": ("grabnet.commands.build_open", "build the open hand, body, objects, grasps and recordings"),
