@@ -12,7 +12,7 @@ from grabnet.cli.entry import hydra_entry
 PATHS = ("capture", "layout", "subject", "out", "models", "objects", "meshes")
 
 
-@hydra_entry("mosh/mosh", paths=PATHS)
+@hydra_entry("mosh/mosh", paths=PATHS, folders=["out"])
 def solve(cfg: DictConfig) -> int:
     """Make recordings of body, hands, face and object from motion-capture markers.
 
@@ -24,7 +24,7 @@ def solve(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="all"))
 
 
-@hydra_entry("mosh/evaluate", paths=("root", "layout", "output"))
+@hydra_entry("mosh/evaluate", paths=("root", "layout", "output"), folders=["output"])
 def evaluate(cfg: DictConfig) -> int:
     """Measure how accurate mosh is, on synthetic captures of recordings.
 

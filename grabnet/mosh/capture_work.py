@@ -8,17 +8,20 @@ import time
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from grabnet.cli.checks import Positive, in_range
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import write_sequence
 from grabnet.errors import UserError
-from grabnet.geometry.mesh import load_mesh
+from grabnet.geometry.mesh import read_mesh
 from grabnet.io.files import DISK_ERRORS, sha256, write_json
 from grabnet.io.npz import read_npz
+from grabnet.io.state import Finite, read_json
 from grabnet.mosh.assembling import NO_OBJECT, assemble
 from grabnet.mosh.attachment import Attachment
 from grabnet.mosh.captures import read_capture
@@ -33,15 +36,36 @@ from grabnet.mosh.subjects import Subject
 from grabnet.preprocess.backends import Outcome
 from grabnet.preprocess.sequence_work import peak_memory
 
+# What is read back of a report.
+_REPORT = {
+    "sha256": str,
+    "notes": [str],
+    "body": {
+        "frames": Finite(0),
+        "residual_mm": {"median": float, "*": object},
+        "flagged": {str: [int]},
+        "*": object,
+    },
+    "object": (None, {"name": str, "residual_mm": float, "*": object}),
+    "solving_cpu_seconds": Finite(0),
+}
+
 
 @dataclass(frozen=True)
 class Reading:
-    """How captures are read: see `read_capture`. prefix: of the subject's labels; the one that fits best when None."""
+    """How captures are read: see `read_capture`. prefix: of the subject's labels; the one that fits best when None.
+
+    Raises:
+        UserError: a rate out of range.
+    """
 
     unit: str | None = None
     up: str = "z"
-    rate: float | None = None
+    rate: Positive | None = None
     prefix: str | None = None
+
+    def __post_init__(self):
+        in_range(self, "reading.")
 
     def read(self, path: Path) -> MarkerData:
         """All markers of a file."""
@@ -157,7 +181,7 @@ class CaptureWork:
         notes += more
         mesh = None
         if motion is not None and (file := self.root / OBJECT_MESHES / f"{object_name}.ply").exists():
-            mesh = load_mesh(file, weld=False)
+            mesh = read_mesh(file, weld=False, mend=False)
         sequence = assemble(
             name, self.subject, self.placement.v_template, pose, markers.rate, object_name, motion, mesh
         )
@@ -224,6 +248,16 @@ def expression_directions(body) -> Tensor | None:
 def report_path(root: Path, name: str) -> Path:
     """Where the quality of a recording is written."""
     return root / "mosh" / f"{name}.json"
+
+
+def read_report(root: Path, name: str) -> dict[str, Any]:
+    """The quality of a recording, as it was written.
+
+    Raises:
+        UserError: no such file, or a damaged one.
+    """
+    path = report_path(root, name)
+    return read_json(path, _REPORT, "delete it, and the capture is solved again")
 
 
 def _travel(markers: MarkerData) -> float:

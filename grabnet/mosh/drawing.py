@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from grabnet.data.sequences import Sequence, load_below, read_sequence
 from grabnet.io.files import replacing
 from grabnet.mosh.assembling import NO_OBJECT
 from grabnet.mosh.attachment import Attachment, Pose
+from grabnet.mosh.capture_work import read_report, report_path
 from grabnet.mosh.layouts import Layout
 from grabnet.mosh.markers import MarkerData
 from grabnet.mosh.placing import TYPE_COLORS, balls
@@ -50,8 +50,8 @@ def draw_quality(
     pose = Pose(parameters.rotations, parameters.transl, torch.zeros(len(sequence), 0))
     observed = markers.pick(layout.labels).positions
     residuals, model = marker_residuals(attachment, pose, observed)
-    report = root / "mosh" / f"{name}.json"
-    _plot(report.with_suffix(".png"), residuals, layout, sequence.framerate, json.loads(report.read_text()))
+    report = report_path(root, name)
+    _plot(report.with_suffix(".png"), residuals, layout, sequence.framerate, read_report(root, name))
     if reason := can_render():
         return reason
     _film(report.with_suffix(".webp"), root, sequence, body, v_template, observed, model, residuals)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
+import itertools
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -15,7 +15,8 @@ from torch import Tensor
 from grabnet.body.anatomy import vertex_normals
 from grabnet.body.skeleton import JOINTS
 from grabnet.body.whole import BodyModel, BodyParameters
-from grabnet.cli.checks import at_least
+from grabnet.cli.checks import Count, Filled, Name, Several, in_range
+from grabnet.cli.progress import steps
 from grabnet.data.objects import OBJECT_MESHES
 from grabnet.data.sequences import Sequence, load_below, read_sequence
 from grabnet.errors import UserError
@@ -60,16 +61,17 @@ class EvaluationConfig:
 
     root: str
     layout: str
-    subjects: list[str]
-    sequences: int
-    frames: int
-    seeds: int
-    versions: dict[str, Version]
-    conditions: dict[str, Flaws]
+    subjects: Annotated[list[Name], Filled()]
+    sequences: Count
+    frames: Several
+    seeds: Count
+    versions: Annotated[dict[str, Version], Filled()]
+    conditions: Annotated[dict[str, Flaws], Filled()]
     output: str
+    quiet: bool = False
 
     def __post_init__(self):
-        at_least(self, sequences=1, frames=2, seeds=1)
+        in_range(self)
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,7 @@ def run(config: EvaluationConfig) -> int:
     for line in lines(table, config):
         print(line)
     write_json(Path(config.output) / "mosh.json", provenance(config=asdict(config), published=PUBLISHED, table=table))
-    print(f"Written to {Path(config.output) / 'mosh.json'}.", file=sys.stderr)
+    print(f"Written to {Path(config.output) / 'mosh.json'}.")
     return 0
 
 
@@ -126,17 +128,14 @@ def measure_all(config: EvaluationConfig) -> dict[tuple[str, str], list[Measured
     body = BodyModel.open()
     layout = read_layout(config.layout, len(body.v_template), body.faces.numpy())
     found: dict[tuple[str, str], list[Measured]] = {}
-    for path in _recordings(config):
-        recorded = _read(Path(config.root), path)
-        for seed in range(config.seeds):
-            capture = Capture(recorded, body, layout, seed)
-            for name, version in config.versions.items():
-                for condition, flaws in config.conditions.items():
-                    measured = capture.measure(version, flaws, config.frames)
-                    found.setdefault((name, condition), []).append(measured)
-                    print(f"{path.parent.name}/{path.stem}, seed {seed}, {name}, {condition}: Stage I "
-                          f"{measured.places.mean():.2f} mm, Stage II {measured.vertices.mean():.2f} mm",
-                          file=sys.stderr)  # fmt: skip
+    paths, ways = _recordings(config), list(itertools.product(config.versions, config.conditions))
+    with steps("Solving synthetic captures", len(paths) * config.seeds * len(ways)) as counted:
+        for path, seed in itertools.product(paths, range(config.seeds)):
+            capture = Capture(_read(Path(config.root), path), body, layout, seed)
+            for name, condition in ways:
+                measured = capture.measure(config.versions[name], config.conditions[condition], config.frames)
+                found.setdefault((name, condition), []).append(measured)
+                counted.advance(about=f"{path.parent.name}/{path.stem}: {measured.vertices.mean():.2f} mm, {name}")
     return found
 
 

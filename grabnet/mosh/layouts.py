@@ -134,8 +134,8 @@ def read_layout(path: str | Path, n_vertices: int | None = None, n_faces: np.nda
         raise UserError(f"{path} lacks the number of vertices of the body model that it is for (vertices: …).")
     if n_vertices is not None and total != n_vertices:
         raise UserError(
-            f"{path} is for a body model of {total:,} vertices; this one has {n_vertices:,}: place its own layout with "
-            "grabnet mosh place=…."
+            f"{path} is for a body model of {total:,} vertices; this one has {n_vertices:,}: give a layout for it "
+            "as layout=<file>."
         )
     attached = tuple(_attached(path, str(label), place, total, n_faces) for label, place in markers.items())
     return Layout(str(content.get("name", Path(path).stem)), total, attached)

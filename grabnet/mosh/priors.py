@@ -5,7 +5,9 @@ Nothing is learned from recordings, so the same prior serves every model and eve
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from torch import Tensor
@@ -13,7 +15,7 @@ from torch import Tensor
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.skeleton import JOINTS, LEFT_HAND_JOINTS, RIGHT_HAND_JOINTS
 from grabnet.body.whole import BodyModel
-from grabnet.cli.checks import positive
+from grabnet.cli.checks import Positive, Range, Weight, in_range
 
 # Mean and spread of joints by x, y, z of the resting body (left, up, ahead); of a left joint, mirrored for the right.
 # Arms hang rather than spread, elbows and knees are hinges, slightly bent.
@@ -53,18 +55,18 @@ class PriorConfig:
         UserError: a spread or factor that is not above 0.
     """
 
-    body: float = 1.0
-    hands: float = 1.0
-    face: float = 1.0
-    flexion: float = 0.5
-    abduction: float = 0.15
-    twist: float = 0.06
-    flexed: float = 0.35
-    expression: float = 1.0
-    missing: float = 2.5
+    body: Positive = 1.0
+    hands: Positive = 1.0
+    face: Positive = 1.0
+    flexion: Positive = 0.5
+    abduction: Positive = 0.15
+    twist: Positive = 0.06
+    flexed: Annotated[float, Range(-math.pi, math.pi)] = 0.35
+    expression: Positive = 1.0
+    missing: Weight = 2.5
 
     def __post_init__(self):
-        positive(self, "body", "hands", "face", "flexion", "abduction", "twist", "expression")
+        in_range(self, "prior.")
 
 
 @dataclass(frozen=True)

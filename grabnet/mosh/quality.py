@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from grabnet.cli.checks import Positive, Share, in_range
 from grabnet.mosh.attachment import Attachment, Pose
 from grabnet.mosh.layouts import Layout
 
@@ -23,12 +24,18 @@ class Limits:
         outlier: distance of a marker that is taken for a ghost or wrongly labelled, metres.
         missing: share of markers that are missing.
         jump: metres that a marker of the model moves from one frame to the next.
+
+    Raises:
+        UserError: a value out of range.
     """
 
-    residual: float = 0.005
-    outlier: float = 0.02
-    missing: float = 0.4
-    jump: float = 0.05
+    residual: Positive = 0.005
+    outlier: Positive = 0.02
+    missing: Share = 0.4
+    jump: Positive = 0.05
+
+    def __post_init__(self):
+        in_range(self, "limits.")
 
 
 @torch.no_grad()

@@ -10,28 +10,29 @@ The folder `out` gets
 
 from __future__ import annotations
 
-import json
-import sys
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from grabnet.body.anatomy import vertex_normals
-from grabnet.cli.checks import at_least, one_of, positive
+from grabnet.cli.checks import Amount, Concurrent, Count, Name, Positive, Weight, in_range, one_of
+from grabnet.cli.ends import say
+from grabnet.cli.progress import steps
 from grabnet.data.objects import OBJECT_MESHES, object_files
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh, load_mesh, save_mesh
 from grabnet.io.files import existing, replacing, sha256, write_json
+from grabnet.io.litter import clear_litter
+from grabnet.io.locks import alone_in
 from grabnet.io.provenance import provenance
 from grabnet.io.recipes import claim
 from grabnet.mosh.assembling import NO_OBJECT, TABLE_MESH
-from grabnet.mosh.capture_work import CaptureWork, Placement, Reading, expression_directions, report_path
+from grabnet.mosh.capture_work import CaptureWork, Placement, Reading, expression_directions, read_report, report_path
 from grabnet.mosh.captures import find_captures
 from grabnet.mosh.choosing import choose_frames
 from grabnet.mosh.layouts import Layout, read_layout, read_object_layouts, write_layout
@@ -42,7 +43,6 @@ from grabnet.mosh.stage_one import StageOneConfig, stage_one
 from grabnet.mosh.stage_two import StageTwoConfig
 from grabnet.mosh.subjects import Subject
 from grabnet.preprocess.backends import Outcome, by_dask, by_joblib, machine_cores
-from grabnet.preprocess.resuming import alone_in
 
 # Raise it when the same capture and settings would give another recording.
 FORMAT = 1
@@ -62,34 +62,34 @@ class MoshConfig:
     layout: str
     subject: str | None
     out: str
-    name: str
+    name: Name
     gender: str
     models: str | None
     objects: str | None
     meshes: str | None
     reading: Reading
     stage_one: StageOneConfig
-    stage_one_captures: int
+    stage_one_captures: Count
     stage_two: StageTwoConfig
     prior: PriorConfig
     limits: Limits
-    max_gap: int
-    tolerance: float
-    object_smooth: float
+    max_gap: Amount
+    tolerance: Positive
+    object_smooth: Weight
     pictures: bool
     backend: str
-    workers: int
+    workers: Concurrent
     dask_address: str | None
-    max_deaths: int
-    threads: int = field(default=1)
+    max_deaths: Count
+    threads: Concurrent = 1
+    quiet: bool = False
 
     def __post_init__(self):
         one_of(self, backend=("joblib", "dask"), gender=("male", "female", "neutral"))
-        at_least(self, stage_one_captures=1, max_gap=0, object_smooth=0, workers=1, max_deaths=1, threads=1)
-        positive(self, "tolerance")
+        in_range(self)
         if (self.backend == "dask") != (self.dask_address is not None):
             raise UserError("backend=dask and dask_address=tcp://… belong together: give both or neither.")
-        if not self.name or any(c in self.name for c in "/\\") or self.name.startswith("."):
+        if any(c in self.name for c in "/\\") or self.name.startswith("."):
             raise UserError(f"name is '{self.name}'; it must be usable as a folder's name.")
 
     @property
@@ -116,9 +116,10 @@ def run(config: MoshConfig) -> int:
         raise UserError(f"{config.capture} holds captures of the same name: the recordings are named after them.")
     if config.objects is not None:
         read_object_layouts(config.objects)
-    with alone_in(config.root):
+    with alone_in(config.root, "out"):
         remedy = f"delete {config.root / 'mosh'}, or choose another out="
         claim(config.root / "mosh/recipe.json", _recipe(config), remedy)
+        clear_litter(config.root, "grab/*/*.*", "mosh/*.*", "mosh/*/*.*", "tools/*/*.*", "tools/*/*/*.*")
         placement = _placement(config, subject, layout, files)
         subject.write(config.root, placement.v_template)
         _write_things(config)
@@ -131,11 +132,11 @@ def run(config: MoshConfig) -> int:
         write_json(config.root / "mosh/failures.json", {o.name: o.failure for o in failures})
         if config.pictures:
             _draw(config, work, outcomes)
-        reports = {name: json.loads(report_path(config.root, name).read_text()) for name in captures
+        reports = {name: read_report(config.root, name) for name in captures
                    if report_path(config.root, name).exists()}  # fmt: skip
         _summarise(config, reports, outcomes, time.monotonic() - began)
     for failure in failures:
-        print(f"error: {failure.name}: {failure.failure}", file=sys.stderr)
+        say(f"{failure.name}: {failure.failure}")
     return 1 if failures else 0
 
 
@@ -216,22 +217,20 @@ def _made(path: Path) -> Path:
 
 
 def _work(config: MoshConfig, work: CaptureWork) -> Iterator[Outcome]:
-    """Outcomes of what is not done, with a progress bar that tells frames per second."""
+    """Outcomes of what is not done, with their progress and frames per second."""
     left = [name for name in work.captures if not _is_done(config.root, name, work.captures[name])]
     outcomes = (
         by_dask(work, left, config.dask_address)
         if config.backend == "dask"
         else by_joblib(work, left, min(config.workers, machine_cores(), max(1, len(left))), config.max_deaths)
     )
-    columns = (TextColumn("Captures"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     began, frames = time.monotonic(), 0
-    with Progress(*columns, TextColumn("left:"), TimeRemainingColumn(), TextColumn("{task.description}")) as bar:
-        task = bar.add_task("", total=len(work.captures), completed=len(work.captures) - len(left))
+    with steps("Solving captures", len(work.captures), len(work.captures) - len(left)) as counted:
         for outcome in outcomes if left else ():
             if not outcome.failure:
-                frames += json.loads(report_path(config.root, outcome.name).read_text())["body"]["frames"]
+                frames += read_report(config.root, outcome.name)["body"]["frames"]
             rate = frames / (time.monotonic() - began)
-            bar.update(task, advance=1, description=f"{rate:.0f} frames/s, {outcome.name}")
+            counted.advance(about=f"{rate:.0f} frames/s, {outcome.name}")
             yield outcome
 
 
@@ -239,7 +238,7 @@ def _is_done(root: Path, name: str, capture: Path) -> bool:
     report = report_path(root, name)
     if not (report.exists() and (root / "grab" / f"{name}.npz").exists()):
         return False
-    return json.loads(report.read_text())["sha256"] == sha256(capture)
+    return read_report(root, name)["sha256"] == sha256(capture)
 
 
 def _draw(config: MoshConfig, work: CaptureWork, outcomes: list[Outcome]) -> None:

@@ -7,7 +7,9 @@ the betas where no scan gave the shape.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -15,7 +17,7 @@ from torch import Tensor
 
 from grabnet.body.anatomy import vertex_normals
 from grabnet.body.whole import BodyModel
-from grabnet.cli.checks import at_least, positive
+from grabnet.cli.checks import Amount, Count, Filled, Positive, in_range
 from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.mosh.attachment import Attachment, Pose
@@ -49,19 +51,18 @@ class StageOneConfig:
         UserError: a value out of range.
     """
 
-    frames: int = 12
-    noise: float = 0.0015
-    reach: float = 10.0
-    ring: float = 0.45
-    place: float | None = None
-    surface: float = 0.0005
-    annealing: tuple[float, ...] = (1.0, 1.0, 1.0)
-    iterations: int = 12
-    betas: int = 0
+    frames: Count = 12
+    noise: Positive = 0.0015
+    reach: Positive = 10.0
+    ring: Positive = 0.45
+    place: Positive | None = None
+    surface: Positive = 0.0005
+    annealing: Annotated[Sequence[Positive], Filled()] = (1.0, 1.0, 1.0)
+    iterations: Count = 12
+    betas: Amount = 0
 
     def __post_init__(self):
-        at_least(self, frames=1, iterations=1, betas=0)
-        positive(self, "noise", "reach", "ring", "surface")
+        in_range(self, "stage_one.")
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from torch import Tensor
 
-from grabnet.cli.checks import at_least, positive
+from grabnet.cli.checks import Batch, Count, Positive, Range, Weight, in_range
 from grabnet.errors import UserError
 from grabnet.mosh.attachment import Attachment, Pose
 from grabnet.mosh.frames import FrameProblem, missing_factor, solve_frames
@@ -48,19 +49,18 @@ class StageTwoConfig:
         UserError: a value out of range.
     """
 
-    noise: float = 0.0018
-    reach: float = 8.0
-    turn: float = 0.004
-    finger_turn: float = 0.01
-    shift: float = 0.001
-    smooth: float = 0.03
-    sweeps: int = 3
-    window: int = 64
-    windows: int = 4
+    noise: Positive = 0.0018
+    reach: Positive = 8.0
+    turn: Positive = 0.004
+    finger_turn: Positive = 0.01
+    shift: Positive = 0.001
+    smooth: Weight = 0.03
+    sweeps: Count = 3
+    window: Annotated[int, Range(2, 65_536)] = 64
+    windows: Batch = 4
 
     def __post_init__(self):
-        at_least(self, smooth=0, sweeps=1, window=2, windows=1)
-        positive(self, "noise", "reach", "turn", "finger_turn", "shift")
+        in_range(self, "stage_two.")
 
 
 def stage_two(

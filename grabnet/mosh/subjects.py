@@ -13,7 +13,7 @@ from torch import Tensor
 from grabnet.body.hand import OPEN_HANDS, HandModel
 from grabnet.body.whole import OPEN_BODY, BodyModel
 from grabnet.errors import UserError
-from grabnet.geometry.mesh import Mesh, load_mesh, save_mesh
+from grabnet.geometry.mesh import Mesh, read_mesh, save_mesh
 from grabnet.io.files import existing, replacing
 
 _TEMPLATES = Path("tools/subject_meshes")  # GRAB's own layout, below its root
@@ -50,7 +50,8 @@ class Subject:
         """(V, 3) the resting body; the model's own where no file gives it."""
         if self.template is None:
             return self.body.v_template
-        vertices = torch.tensor(load_mesh(existing(self.template, "Template of the subject"), weld=False).vertices)
+        file = existing(self.template, "Template of the subject")
+        vertices = torch.tensor(read_mesh(file, weld=False, mend=False).vertices)
         if len(vertices) != len(self.body.v_template):
             raise UserError(
                 f"{self.template} has {len(vertices):,} vertices, the body model {len(self.body.v_template):,}: they "
@@ -83,7 +84,7 @@ class Subject:
     def wrist_at_rest(self, side: str) -> Tensor:
         """(3,) where the wrist of the hand's template is, float64."""
         hand, own = self.hand(side), self._beside(f"_{side[0]}hand")
-        rest = hand.v_template if own is None else torch.tensor(load_mesh(own, weld=False).vertices)
+        rest = hand.v_template if own is None else torch.tensor(read_mesh(own, weld=False, mend=False).vertices)
         return hand.rest_joints(rest)[0].double()
 
     def _beside(self, part: str) -> Path | None:

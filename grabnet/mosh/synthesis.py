@@ -15,7 +15,7 @@ from torch import Tensor
 from grabnet.body.anatomy import vertex_normals
 from grabnet.body.skeleton import JOINTS
 from grabnet.body.whole import BodyModel
-from grabnet.cli.checks import at_least
+from grabnet.cli.checks import Amount, Positive, Share, Weight, in_range
 from grabnet.data.sequences import BodyTrack, Sequence
 from grabnet.mosh.c3d import write_c3d
 from grabnet.mosh.layouts import Layout, ObjectLayout
@@ -39,18 +39,18 @@ class Flaws:
         ghosts: share of marker positions that are somewhere else, within 15 cm.
 
     Raises:
-        UserError: a negative value.
+        UserError: a value out of range.
     """
 
-    noise: float = 0.001
-    dropped: int = 5
-    bursts: float = 0.0
-    burst_seconds: float = 0.4
-    swapped: float = 0.0
-    ghosts: float = 0.0
+    noise: Weight = 0.001
+    dropped: Amount = 5
+    bursts: Share = 0.0
+    burst_seconds: Positive = 0.4
+    swapped: Share = 0.0
+    ghosts: Share = 0.0
 
     def __post_init__(self):
-        at_least(self, noise=0, dropped=0, bursts=0, burst_seconds=0.01, swapped=0, ghosts=0)
+        in_range(self, "conditions.")
 
 
 def in_one_ring(layout: Layout, faces: np.ndarray, seed: int) -> Layout:
