@@ -17,12 +17,13 @@ from grabnet.errors import UserError
 
 ROOT = Path(__file__).parents[2]
 CONFIG = {name: name for name in ("train", "evaluate", "benchmark")} | {
-    name: f"{name}/{name}" for name in ("sample", "preprocess")
+    name: f"{name}/{name}" for name in ("sample", "preprocess", "mosh")
 }
 # Command lines that together have every value of a command.
 LINES = {
     "sample": ["mesh=a.obj", "mesh=a.obj hand_model=a.npz model=[runs/a,runs/b]"],
     "benchmark": ["suite=hand"],
+    "mosh": ["capture=a.c3d"],
     "preprocess": ["data=open data.contact=recompute"],
     "evaluate": [
         "",

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -48,6 +50,16 @@ class Actor:
         """(F,) mean distance of vertices, mm."""
         found = self.body(BodyParameters.from_rotations(pose.rotations.float(), pose.transl.float()), template).vertices
         return 1e3 * (found - self.vertices).norm(dim=-1).mean(1).numpy()
+
+
+def write_csv(path: Path, labels: list[str], positions: np.ndarray, rate: float = 24) -> None:
+    """A plain table in metres; empty cells where markers are missing."""
+    header = ["frame", "time", *(f"{label}_{axis}" for label in labels for axis in "xyz")]
+    rows = [
+        ",".join([str(t), f"{t / rate:.6f}", *("" if np.isnan(x) else f"{x:.6f}" for x in frame.ravel())])
+        for t, frame in enumerate(positions)
+    ]
+    path.write_text("\n".join([",".join(header), *rows]) + "\n")
 
 
 @pytest.fixture(scope="session")

@@ -23,10 +23,10 @@ from grabnet.geometry.mesh import Mesh, save_mesh
 from grabnet.mosh.layouts import spread_markers, write_object_layouts
 from grabnet.mosh.run import MoshConfig, run
 from grabnet.mosh.synthesis import Flaws, spoilt
-from tests.mosh.conftest import LAYOUTS, Actor
+from tests.mosh.conftest import LAYOUTS, Actor, write_csv
 
 ROOT = Path(__file__).parents[2]
-FAST = ("pictures=false", "workers=1", "stage_one.iterations=2", "stage_one.annealing=[1.0]", "stage_two.sweeps=2",
+FAST = ("quiet=true", "pictures=false", "workers=1", "stage_one.iterations=2", "stage_one.annealing=[1.0]", "stage_two.sweeps=2",
         "stage_one.frames=6")  # fmt: skip
 
 
@@ -42,16 +42,6 @@ def config(*overrides: str) -> MoshConfig:
         return instantiate(compose("mosh", [*overrides]), _convert_="all")
 
 
-def write_csv(path: Path, labels: list[str], positions: np.ndarray, rate: float = 24) -> None:
-    """A plain table in metres; empty cells where markers are missing."""
-    header = ["frame", "time", *(f"{label}_{axis}" for label in labels for axis in "xyz")]
-    rows = [
-        ",".join([str(t), f"{t / rate:.6f}", *("" if np.isnan(x) else f"{x:.6f}" for x in frame.ravel())])
-        for t, frame in enumerate(positions)
-    ]
-    path.write_text("\n".join([",".join(header), *rows]) + "\n")
-
-
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory, actor: Actor) -> Path:
     """A folder with captures of the actor, who moves a box about, their template and the box's mesh and markers."""
@@ -59,7 +49,7 @@ def lab(tmp_path_factory, actor: Actor) -> Path:
     corners = 0.05 * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 2)], np.float32)
     faces = [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7], [0, 4, 2],
              [2, 4, 6], [1, 3, 5], [3, 7, 5]]  # fmt: skip
-    box = Mesh(corners, np.array(faces))
+    box = Mesh(corners, np.array(faces)[:, ::-1])
     (folder / "meshes").mkdir()
     save_mesh(folder / "meshes/box.ply", box)
     save_mesh(folder / "s9.ply", Mesh(actor.body.v_template.numpy(), actor.body.faces.numpy()))
