@@ -26,7 +26,8 @@ from grabnet.mosh.synthesis import Flaws, spoilt
 from tests.mosh.conftest import LAYOUTS, Actor, write_csv
 
 ROOT = Path(__file__).parents[2]
-FAST = ("quiet=true", "pictures=false", "workers=1", "stage_one.iterations=2", "stage_one.annealing=[1.0]", "stage_two.sweeps=2",
+FAST = ("quiet=true", "pictures=false", "workers=1", "stage_one.iterations=2",
+        "stage_one.annealing=[1.0]", "stage_two.sweeps=2",
         "stage_one.frames=6")  # fmt: skip
 
 
