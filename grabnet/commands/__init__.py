@@ -20,6 +20,7 @@ COMMANDS = {
     "preprocess": ("grabnet.commands.preprocess", "make training frames of recordings"),
     "analyze": ("grabnet.commands.analyze", "make the paper's statistics and figures of a data set"),
     "meshes": ("grabnet.commands.meshes", "write meshes of a recording over time, as film, animation or files"),
+    "mosh": ("grabnet.commands.mosh", "make recordings of motion-capture markers"),
     "unpack": ("grabnet.commands.unpack_grab", "unpack the zip files of GRAB or of the GrabNet data"),
     "import": ("grabnet.commands.import_checkpoint", "convert a published checkpoint"),
     "build": ("grabnet.commands.build_open", "build the open hand, body, objects, grasps and recordings"),

@@ -16,10 +16,12 @@ from grabnet.body.hand import OPEN_HANDS
 from grabnet.cli import progress
 from grabnet.cli.entry import compose
 from grabnet.commands import COMMANDS
+from grabnet.data.sequences import read_sequence
 from grabnet.models.weights import save_network
 from grabnet.study.key import StudyKey
 from grabnet.visual.pictures import can_render
 from tests.cli.test_commands import CONFIG, leaves, typed
+from tests.mosh.conftest import Actor, write_csv
 from tests.preprocess.tiny_grab import overrides, write_grab
 from tests.tiny import tiny_overrides
 
@@ -112,6 +114,17 @@ def test_preprocess(call, cache_dir, tmp_path):
     code, out, err = call("preprocess", *given)
     assert code == 0 and "card.md describes it" in out
     assert {"Reading recordings: 0 of 7"} <= set(err.splitlines())
+
+
+def test_mosh(call, tmp_path):
+    actor = Actor(frames=4)
+    write_csv(tmp_path / "box (1)_lift.csv", actor.layout.labels, actor.markers)
+    few = ["stage_one.iterations=1", "stage_one.annealing=[1.0]", "stage_one.frames=2", "stage_two.sweeps=1"]
+    places = [f"capture='{tmp_path / 'box (1)_lift.csv'}'", f"out={tmp_path / 'out'}"]
+    code, out, err = call("mosh", *few, *places, "workers=1", "pictures=false", "quiet=false")
+    assert code == 0 and "4 frames, markers" in out
+    assert {"Solving captures: 0 of 1"} <= set(err.splitlines())
+    assert read_sequence(tmp_path / "out/grab/s1/box (1)_lift.npz").framerate == pytest.approx(24)
 
 
 def test_benchmark(call, tmp_path):

@@ -18,7 +18,7 @@ from grabnet.errors import UserError
 
 ROOT = Path(__file__).parents[2]
 CONFIG = {name: name for name in ("train", "evaluate", "benchmark")} | {
-    name: f"{name}/{name}" for name in ("sample", "preprocess", "analyze")
+    name: f"{name}/{name}" for name in ("sample", "preprocess", "analyze", "mosh")
 }
 CONFIG["meshes"] = "analyze/meshes"
 CONFIG |= {f"study {name}": f"study/{name}" for name in STUDY}
@@ -26,6 +26,7 @@ CONFIG |= {f"study {name}": f"study/{name}" for name in STUDY}
 LINES = {
     "sample": ["mesh=a.obj", "mesh=a.obj hand_model=a.npz model=[runs/a,runs/b]"],
     "benchmark": ["suite=hand"],
+    "mosh": ["capture=a.c3d"],
     "preprocess": ["data=open data.contact=recompute"],
     "analyze": ["compare=grasps compare.root=a", "compare=grab compare.root=a compare.models=a"],
     "meshes": ["sequence=s1/mug_lift_1"],

@@ -1,0 +1,38 @@
+"""Captures on disk, whatever their format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from grabnet.errors import UserError
+from grabnet.io.files import existing
+from grabnet.mosh.c3d import read_c3d
+from grabnet.mosh.markers import MarkerData
+from grabnet.mosh.tables import read_table
+
+SUFFIXES = (".c3d", ".trc", ".csv", ".tsv")
+
+
+def read_capture(path: str | Path, unit: str | None = None, up: str = "z", rate: float | None = None) -> MarkerData:
+    """Markers of a file by its suffix, one of `SUFFIXES`; the other arguments as `read_c3d` and `read_table`.
+
+    Raises:
+        UserError: another suffix; as the readers.
+    """
+    path = existing(path, "Capture")
+    if path.suffix.lower() not in SUFFIXES:
+        raise UserError(f"{path} is no capture: its suffix must be {', '.join(SUFFIXES)}.")
+    return read_c3d(path, unit, up) if path.suffix.lower() == ".c3d" else read_table(path, unit, up, rate)
+
+
+def find_captures(place: str | Path) -> list[Path]:
+    """The capture that a path is, or all those below a folder, sorted.
+
+    Raises:
+        UserError: there is none.
+    """
+    place = existing(place, "Capture")
+    found = [place] if place.is_file() else sorted(p for p in place.rglob("*") if p.suffix.lower() in SUFFIXES)
+    if not found:
+        raise UserError(f"{place} holds no captures: files that end in {', '.join(SUFFIXES)}.")
+    return found

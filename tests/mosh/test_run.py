@@ -1,0 +1,144 @@
+"""The command, from files of markers to recordings, and all that it refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.errors import InstantiationException
+from hydra.utils import instantiate
+
+from grabnet.body.hand import HandModel
+from grabnet.cli.entry import CONFIGS
+from grabnet.data.sequences import read_sequence
+from grabnet.errors import UserError
+from grabnet.geometry.mesh import Mesh, save_mesh
+from grabnet.mosh.layouts import spread_markers, write_object_layouts
+from grabnet.mosh.run import MoshConfig, run
+from grabnet.mosh.synthesis import Flaws, spoilt
+from tests.mosh.conftest import LAYOUTS, Actor, write_csv
+
+ROOT = Path(__file__).parents[2]
+FAST = ("quiet=true", "pictures=false", "workers=1", "stage_one.iterations=2",
+        "stage_one.annealing=[1.0]", "stage_two.sweeps=2",
+        "stage_one.frames=6")  # fmt: skip
+
+
+def mosh(*arguments: str) -> subprocess.CompletedProcess:
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    command = [sys.executable, "-m", "grabnet", "mosh", *arguments]
+    return subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True)
+
+
+def config(*overrides: str) -> MoshConfig:
+    """The command's config, in this process."""
+    with initialize_config_dir(str(CONFIGS / "mosh"), version_base="1.3"):
+        return instantiate(compose("mosh", [*overrides]), _convert_="all")
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory, actor: Actor) -> Path:
+    """A folder with captures of the actor, who moves a box about, their template and the box's mesh and markers."""
+    folder = tmp_path_factory.mktemp("lab")
+    corners = 0.05 * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 2)], np.float32)
+    faces = [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7], [0, 4, 2],
+             [2, 4, 6], [1, 3, 5], [3, 7, 5]]  # fmt: skip
+    box = Mesh(corners, np.array(faces)[:, ::-1])
+    (folder / "meshes").mkdir()
+    save_mesh(folder / "meshes/box.ply", box)
+    save_mesh(folder / "s9.ply", Mesh(actor.body.v_template.numpy(), actor.body.faces.numpy()))
+    layout = spread_markers("box", box)
+    write_object_layouts(folder / "objects.yaml", [layout])
+    labels = [f"s9:{label}" for label in actor.layout.labels] + [f"box:{label}" for label in layout.labels]
+    shift = np.linspace(0, 0.3, len(actor.markers))[:, None, None] * [0, 0, 1.0] + [0.4, 0.1, 0.8]
+    both = np.concatenate([actor.markers, layout.positions + shift], 1)
+    (folder / "captures").mkdir()
+    for k in (1, 2):
+        seen = spoilt(both, 120, Flaws(), k)
+        write_csv(folder / f"captures/box_lift_{k}.csv", labels, seen[:: 1 if k == 1 else 3])
+    return folder
+
+
+def arguments(lab: Path, out: Path, *more: str) -> list[str]:
+    return [
+        f"capture={lab / 'captures'}", f"subject={lab / 's9.ply'}", f"objects={lab / 'objects.yaml'}",
+        f"meshes={lab / 'meshes'}", f"out={out}", "name=s9", *FAST, *more,
+    ]  # fmt: skip
+
+
+def test_captures_become_recordings_and_are_not_solved_twice(lab, tmp_path, actor):
+    ended = mosh(*arguments(lab, tmp_path / "out"))
+    assert ended.returncode == 0 and not ended.stderr, ended.stderr
+    assert "s9/box_lift_1: 24 frames" in ended.stdout and "frames per second of one core" in ended.stdout
+    path = tmp_path / "out/grab/s9/box_lift_1.npz"
+    sequence = read_sequence(path, ["box"])
+    assert sequence.obj_name == "box" and sequence.motion_intent == "lift" and sequence.framerate == pytest.approx(24)
+    found = actor.body(sequence.body.parameters()).vertices
+    assert 1e3 * (found - actor.vertices).norm(dim=-1).mean() < 6
+    assert np.ptp(sequence.object.transl[:, 2]) == pytest.approx(0.3, abs=0.01)
+    # The hands are where the body has them.
+    template = actor.body.v_template
+    wrist = actor.body(sequence.body.parameters(), template).joints[:, 21]
+    hand = HandModel.open()
+    joints = hand(sequence.rhand.parameters(), hand.v_template.expand(24, -1, -1)).joints[:, 0]
+    assert (joints - wrist).norm(dim=1).max() < 1e-5
+    report = json.loads((tmp_path / "out/mosh/s9/box_lift_1.json").read_text())
+    assert report["body"]["residual_mm_by_type"]["finger"]["median"] < 5 and report["object"]["solved"] == 24
+    assert report["body"]["frames"] == 24
+
+    before = path.stat().st_mtime_ns
+    assert run(config(*arguments(lab, tmp_path / "out"))) == 0
+    assert path.stat().st_mtime_ns == before
+    with pytest.raises(UserError, match=r"was started with stage_two.noise=0.0018, now it is 0.003"):
+        run(config(*arguments(lab, tmp_path / "out", "stage_two.noise=0.003")))
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (("subject=nowhere.ply",), "Template of the subject nowhere.ply does not exist"),
+        (("layout=nowhere.yaml",), "Layout nowhere.yaml does not exist"),
+        (("capture=nowhere",), "Capture nowhere does not exist"),
+        (("reading.prefix=s3",), "No marker has the prefix 's3'; the labels' prefixes are s9, box"),
+        (("reading.unit=mm",), "which no capture does: give the right unit=mm, cm or m"),
+        (("reading.up=w",), "up is 'w'; it can be x, y, z"),
+        (("stage_one.frames=0",), "frames is 0; it must be at least 1"),
+        (("gender=x",), "gender is 'x'; it can be male, female, neutral"),
+        (("workers=0",), "workers is 0; it must be at least 1"),
+    ],
+)
+def test_what_cannot_start_is_refused_in_one_sentence(lab, tmp_path, change, sentence):
+    with pytest.raises((UserError, InstantiationException), match=re.escape(sentence)):
+        run(config(*arguments(lab, tmp_path / "out", *change)))
+
+
+def test_refusals_end_the_command():
+    ended = mosh("capture=nowhere.c3d")
+    assert ended.returncode == 2 and ended.stderr.startswith("error: Capture nowhere.c3d does not exist")
+
+
+def test_a_capture_that_fails_leaves_the_others(lab, tmp_path, capsys):
+    captures = tmp_path / "captures"
+    captures.mkdir()
+    (captures / "box_lift_1.csv").write_text((lab / "captures/box_lift_2.csv").read_text())
+    lines = (lab / "captures/box_lift_2.csv").read_text().splitlines()
+    (captures / "empty_lift_1.csv").write_text("\n".join([lines[0], *(f"{t},{t / 24:.6f}" for t in range(4))]))
+    command = arguments(lab, tmp_path / "out", f"capture={captures}", "stage_one_captures=1")
+    assert run(config(*command)) == 1
+    said = capsys.readouterr().err
+    assert "error: s9/empty_lift_1:" in said and "are missing in all 4 frames" in said
+    assert (tmp_path / "out/grab/s9/box_lift_1.npz").exists()
+    assert "empty_lift_1" in (tmp_path / "out/mosh/failures.json").read_text()
+
+
+def test_layouts_are_shipped():
+    assert {path.name for path in LAYOUTS.glob("*.yaml")} == {
+        "open_body_grab99.yaml", "open_body_plug_in_gait.yaml", "open_objects.yaml",
+    }  # fmt: skip
