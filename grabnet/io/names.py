@@ -13,7 +13,8 @@ from grabnet.errors import printable
 LONGEST_NAME = 240
 # Folders that systems add to archives and disks.
 _OF_SYSTEMS = {"__MACOSX", "@eaDir"}
-_HIDDEN = re.compile(r"\.(?!\.?\Z)")
+# Not what has nothing but dots before its ending: `...obj`.
+_HIDDEN = re.compile(r"\.(?!\.*(\.\w+)?\Z)|\.\w+\Z")
 _WORD = r"(copy|kopie|copie|copia|cópia)"
 _COPY = re.compile(
     rf".+( \(\d{{1,3}}\)| ?\({_WORD}( \d+)?\)|( -)? {_WORD}( \d+)?| - {_WORD} \(\d+\))"  # mug (1), mug copy 2
