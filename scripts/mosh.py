@@ -2,7 +2,7 @@
 
 import sys
 
-from grabnet.commands.mosh import main
+from grabnet.commands import run
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run("mosh"))

@@ -105,7 +105,7 @@ def test_captures_become_recordings_and_are_not_solved_twice(lab, tmp_path, acto
     [
         (("subject=nowhere.ply",), "Template of the subject nowhere.ply does not exist"),
         (("layout=nowhere.yaml",), "Layout nowhere.yaml does not exist"),
-        (("capture=nowhere",), "Capture nowhere does not exist"),
+        (("capture=/no/where",), "Capture /no/where does not exist"),
         (("reading.prefix=s3",), "No marker has the prefix 's3'; the labels' prefixes are s9, box"),
         (("reading.unit=mm",), "which no capture does: give the right unit=mm, cm or m"),
         (("reading.up=w",), "up is 'w'; it can be x, y, z"),
