@@ -16,7 +16,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from grabnet.cli.checks import annotations, mismatch
-from grabnet.cli.ends import told
+from grabnet.cli.ends import as_user_error
 from grabnet.errors import UserError
 
 _RESERVED = {"_target_", "_partial_", "_recursive_", "_convert_"}
@@ -126,7 +126,7 @@ def _located(target: str, path: str) -> Any:
         if not isinstance(error.value, Exception):
             raise error.value from None
         refused = UserError(f"{path}._target_={target} cannot be imported ({error.value}).")
-        raise (told(error.value) or refused) from None
+        raise (as_user_error(error.value) or refused) from None
     if found is None:
         raise UserError(f"{path}._target_={target} does not exist.")
     return found

@@ -57,7 +57,7 @@ def in_sentences() -> Iterator[None]:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more as it ends
             sys.exit(_PIPE_CLOSED)
         except Exception as error:
-            mistake = told(error)
+            mistake = as_user_error(error)
             if mistake is None and os.environ.get("HYDRA_FULL_ERROR") == "1":
                 raise
             fail(mistake or UserError(unexpected(error)))
@@ -80,7 +80,7 @@ def note(line: str) -> None:
     print(printable(line))
 
 
-def told(error: BaseException) -> UserError | None:
+def as_user_error(error: BaseException) -> UserError | None:
     """An error that the user can do something about, in a sentence; None for a fault of ours."""
     if isinstance(error, UserError):
         return error

@@ -35,7 +35,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from grabnet.cli.checking import check, refusal, refuse_removal
-from grabnet.cli.ends import fail, in_sentences, say, told, unexpected
+from grabnet.cli.ends import as_user_error, fail, in_sentences, say, unexpected
 from grabnet.cli.help import command_help
 from grabnet.cli.mistakes import options, refuse_choices, sentence
 from grabnet.cli.places import refuse_unwritable
@@ -92,7 +92,8 @@ def hydra_entry(
                     with shown(quiet=bool(cfg.get("quiet"))):
                         result = main(cfg)
                 except Exception as error:
-                    mistake = (refusal(error) if isinstance(error, InstantiationException) else None) or told(error)
+                    refused = refusal(error) if isinstance(error, InstantiationException) else None
+                    mistake = refused or as_user_error(error)
                     if mistake is not None:
                         log.debug("Refused here:", exc_info=error)  # hydra.verbose=true, for who writes a constructor
                     if HydraConfig.get().mode != RunMode.MULTIRUN and (mistake or not keeps_traceback):

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from grabnet.body.hand import HandModel
-from grabnet.cli.ends import note, say, told, unexpected
+from grabnet.cli.ends import as_user_error, note, say, unexpected
 from grabnet.cli.progress import track
 from grabnet.data.objects import MESH_SUFFIXES
 from grabnet.errors import UserError
@@ -86,7 +86,7 @@ def run(config: SamplingConfig) -> int:
             write_grasps(folder, grasps, about | record, listed(config.format), sheet, config.page, contact)
             note(f"{file}: {grasps.summary()}; all is in {folder}")
         except Exception as error:  # nothing that one mesh meets ends the others
-            failures.append(str(told(error) or f"{file}: {unexpected(error)}"))
+            failures.append(str(as_user_error(error) or f"{file}: {unexpected(error)}"))
     for sentence in failures:
         say(sentence)
     return 1 if failures else 0
@@ -108,5 +108,5 @@ def _mesh_files(named: list[str]) -> tuple[list[Path], list[str]]:
                     raise UserError(f"The folder {path} holds no mesh ({', '.join(MESH_SUFFIXES)}).")
             files |= {os.path.realpath(p): p for p in inside}  # of links to themselves, too
         except (UserError, OSError) as error:
-            failures.append(str(told(error)))
+            failures.append(str(as_user_error(error)))
     return list(files.values()), failures

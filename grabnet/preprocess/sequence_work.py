@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from grabnet.cli.ends import told, unexpected
+from grabnet.cli.ends import as_user_error, unexpected
 from grabnet.data.sources.base import write_frames
 from grabnet.errors import printable
 from grabnet.preprocess.backends import Outcome
@@ -84,7 +84,7 @@ def outcome_of(name: str, folder: Path, work: Callable[[], None]) -> Outcome:
     except Exception as error:
         if isinstance(error, OSError) and error.errno and Path(error.filename or "").is_relative_to(folder):
             raise
-        failure = str(told(error) or printable(unexpected(error)))
+        failure = str(as_user_error(error) or printable(unexpected(error)))
     return Outcome(name, failure, f"{socket.gethostname()}:{os.getpid()}", peak_memory())
 
 

@@ -84,7 +84,6 @@ def test_evaluate(call, runs, tiny_dataset, cache_dir, tmp_path):
 
 def test_study(call, runs, tiny_dataset, cache_dir, tmp_path):
     """From networks to a report; `serve`, which only ends when it is stopped, has tests of its own."""
-    pytest.importorskip("av", reason="PyAV encodes the films")
     if (reason := can_render()) is not None:
         pytest.skip(reason)
     data = ["data=frames", f"data.root={tiny_dataset}", "data.split.val=[ring]", "data.split.test=[can]"]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from grabnet.cli.ends import in_sentences, note, say, told, unexpected
+from grabnet.cli.ends import as_user_error, in_sentences, note, say, unexpected
 from grabnet.cli.entry import hydra_entry
 from grabnet.cli.places import refuse_unwritable
 from grabnet.commands import COMMANDS
@@ -138,7 +138,7 @@ def test_what_the_system_refuses_is_named(tmp_path, capsys):
 def test_a_full_disk_names_the_file_that_was_written(tmp_path):
     with files_of_at_most(100), pytest.raises(OSError) as caught, replacing(tmp_path / "big.bin") as temporary:
         temporary.write_bytes(b"x" * 1000)
-    assert str(told(caught.value)) == (
+    assert str(as_user_error(caught.value)) == (
         f"{tmp_path}/big.bin cannot be used (File too large): make room, or choose another place."
     )
     assert not list(tmp_path.iterdir())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import ezc3d
 import numpy as np
 import pytest
 
@@ -26,7 +27,6 @@ def positions(frames: int = 5) -> np.ndarray:
 
 @pytest.fixture
 def c3d(tmp_path):
-    ezc3d = pytest.importorskip("ezc3d")
     from grabnet.mosh.c3d import write_c3d
 
     def make(change=None, labels=LABELS, unit="mm", places=None) -> Path:
@@ -230,7 +230,6 @@ def test_captures_of_a_folder(tmp_path):
 
 @pytest.mark.skipif(not MOCAP.exists(), reason="the real recordings are not here")
 def test_real_recordings():
-    pytest.importorskip("ezc3d")
     box = read_capture(MOCAP / "box_and_subject.c3d")
     assert box.prefixes == ("boite", "Daphnee") and len(box.under("boite").labels) == 8 and len(box) == 580
     serve = read_capture(MOCAP / "tennis_serve.c3d")

@@ -82,7 +82,6 @@ def test_what_cannot_be_followed_is_refused():
 
 @pytest.mark.skipif(not MOCAP.exists(), reason="the real recordings are not here")
 def test_a_real_box_without_a_model_stays_rigid():
-    pytest.importorskip("ezc3d")
     from grabnet.mosh.captures import read_capture
 
     seen = torch.as_tensor(read_capture(MOCAP / "box_and_subject.c3d").under("boite").positions)

@@ -31,7 +31,6 @@ FILM = ["film.size=96", "film.seconds=0.5", "film.supersampling=1"]
 @pytest.fixture(scope="session")
 def export_study(tiny_dataset, cache_dir) -> Callable[..., Path]:
     """Export a study of recorded and transplanted grasps of the ring, or skip where nothing can be drawn."""
-    pytest.importorskip("av", reason="PyAV encodes the films")
     if (reason := can_render()) is not None:
         pytest.skip(reason)
     data = ["data=frames", f"data.root={tiny_dataset}", "data.split.val=[can]", "data.split.test=[ring]"]

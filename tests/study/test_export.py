@@ -6,6 +6,7 @@ import json
 import stat
 from collections import Counter
 
+import av
 import numpy as np
 import pytest
 import trimesh
@@ -23,7 +24,6 @@ from tests.study.conftest import made_key
 
 
 def decoded(path) -> list[np.ndarray]:
-    av = pytest.importorskip("av")
     with av.open(str(path)) as film:
         assert film.streams.video[0].codec_context.name == "h264"
         assert film.streams.video[0].average_rate == 12

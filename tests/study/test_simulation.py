@@ -53,7 +53,6 @@ def test_raters_answer_as_the_model_says():
 
 
 def test_the_ordinal_model_finds_what_was_planted():
-    pytest.importorskip("numpyro", reason="NumPyro fits the ordinal model")
     key = made_key(n=8, shown=None)
     model = replace(MODEL, difference=-1.5, grasp=0.5, rater=1.0)
     ratings = rated(model, key, 24, 4)
