@@ -57,9 +57,8 @@ def drawn(
         grasps = grabber(mesh, n, seed, cache_dir=grid_cache)
         return {"vertices": grasps.vertices.numpy(), "hand_pose": grasps.parameters.hand_pose.numpy()}
 
-    hand_hash = sha256(grabber.hand.v_template.cpu().numpy())
     sizes = f"{n} {seed} {grabber.settings} {grabber.finger.device.type}"
-    arrays = cache.get("drawn", [*sources, mesh.sha256, hand_hash, sizes], draw)
+    arrays = cache.get("drawn", [*sources, mesh.sha256, grabber.hand.fingerprint, sizes], draw)
     return Hands(faces=grabber.hand.faces.cpu().numpy(), **arrays)
 
 
@@ -146,7 +145,7 @@ def _check_record(place: Path, file: Path, hand: HandModel) -> None:
     made_for, posed = said.get("mesh_sha256"), said.get("hand_sha256")
     if made_for not in (None, sha256(file)):
         raise UserError(f"The grasps in {place} were made for another mesh than {file}: make them for that one.")
-    if posed not in (None, sha256(hand.v_template.numpy())):
+    if posed not in (None, hand.fingerprint):
         raise UserError(
             f"The grasps in {place} are poses of another hand model: give them as meshes, or evaluate with data and "
             "hand_model of that hand."

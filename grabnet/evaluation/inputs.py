@@ -105,8 +105,7 @@ class EvaluationInputs:
         split = self.data.split
         names = [*self.store.objects, "|", split.by, *sorted(split.val), "|", *sorted(split.test)]
         meshes = [sha256(self.files[name]) for name in self.store.objects if name in self.files]
-        hand = [self.hand.v_template.numpy(), self.hand.weights.numpy()]
-        return [sha256(*frames), sha256(self.store.v_template.numpy()), sha256(*hand), *names, *meshes]
+        return [sha256(*frames), sha256(self.store.v_template.numpy()), self.hand.fingerprint, *names, *meshes]
 
     @cached_property
     def training_keypoints(self) -> np.ndarray:

@@ -20,7 +20,6 @@ from grabnet.evaluation.reporting.findings import Findings, Highlight
 from grabnet.evaluation.reporting.page import write_report
 from grabnet.evaluation.reporting.tables import write_csv, write_grasps_csv, write_json_tables, write_latex
 from grabnet.evaluation.summary import failures, figures, unexpected_order
-from grabnet.io.files import sha256
 from grabnet.io.litter import clear_litter
 from grabnet.io.provenance import provenance
 
@@ -122,7 +121,7 @@ def _record(inputs: EvaluationInputs) -> dict[str, Any]:
             "objects_sha256": {name: mesh.sha256 for name, mesh in inputs.meshes.items()},
             "ground_truth_grasps": {name: len(hands) for name, hands in inputs.truth.items()},
         },
-        "hand_sha256": sha256(inputs.hand.v_template.numpy()),
+        "hand_sha256": inputs.hand.fingerprint,
         "config": asdict(inputs.config),
         "provenance": provenance(),
     }

@@ -57,7 +57,7 @@ def run(config: SamplingConfig) -> int:
         "networks": {
             kind: {"file": str(path.resolve()), "sha256": sha256(path)} for kind, path in grabber.weights.items()
         },
-        "hand_sha256": sha256(hand.v_template.numpy()),
+        "hand_sha256": hand.fingerprint,
         "config": asdict(config),
         "provenance": provenance(),
     }

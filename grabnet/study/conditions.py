@@ -14,7 +14,6 @@ from grabnet.errors import UserError
 from grabnet.evaluation.inputs import EvaluationInputs
 from grabnet.evaluation.methods import Method, make_methods
 from grabnet.geometry.mesh import Mesh
-from grabnet.io.files import sha256
 from grabnet.study.catches import Catches
 from grabnet.study.config import ExportConfig
 from grabnet.study.key import CATCH, EXAMPLE, Shown
@@ -74,7 +73,7 @@ def study_grasps(config: ExportConfig) -> StudyGrasps:
     record = {
         "models": {model.name: model.record() for model in inputs.models},
         "objects_sha256": {name: mesh.sha256 for name, mesh in inputs.meshes.items()},
-        "hand_sha256": sha256(inputs.hand.v_template.numpy()),
+        "hand_sha256": inputs.hand.fingerprint,
     }
     return StudyGrasps([method.name for method in methods], inputs.meshes, grasps, record)
 

@@ -23,7 +23,7 @@ from omegaconf import DictConfig, OmegaConf
 from grabnet.cli.ends import Stopped, in_sentences
 from grabnet.data.datamodule import GraspDataModule
 from grabnet.errors import UserError, printable
-from grabnet.io.files import naming, replacing, sha256, write_json
+from grabnet.io.files import naming, replacing, write_json
 from grabnet.io.litter import clear_litter
 from grabnet.io.locks import alone_in
 from grabnet.io.provenance import provenance
@@ -118,7 +118,7 @@ def _fit(
             seed=cfg.seed,
             tags=list(cfg.tags),
             data=data.record(),
-            hand_sha256=sha256(data.hand.v_template.numpy()),
+            hand_sha256=data.hand.fingerprint,
             trained_from=module.trained_from,
         )
         if resumed:

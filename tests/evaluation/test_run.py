@@ -412,7 +412,7 @@ def test_poses_of_another_hand_are_refused(call, made):
     record.write_text(json.dumps({"hand_sha256": "0" * 64}))
     with pytest.raises(UserError, match="are poses of another hand model: give them as meshes"):
         call("models=[]", f"grasps={made / 'parameters'}")
-    record.write_text(json.dumps({"hand_sha256": sha256(HandModel.open().v_template.numpy())}))
+    record.write_text(json.dumps({"hand_sha256": HandModel.open().fingerprint}))
     call("models=[]", f"grasps={made / 'parameters'}")
 
 
