@@ -100,7 +100,7 @@ def _film(scene: Scene, shared: Set, site: Path, config: FilmConfig) -> None:
     hand = Shape(scene.vertices, scene.faces, SKIN)
     frames = _turntable(config).frames([shared.solid, hand], shared.centre, shared.distance)
     first = next(frames)
-    picture = Image.fromarray(first).resize((config.size, config.size), Image.Resampling.BOX)
+    picture = Image.fromarray(first[..., :3]).resize((config.size, config.size), Image.Resampling.BOX)
     save_image(poster, np.asarray(picture))
     write_video(video, chain([first], frames), config.size, config.fps, config.quality)
     for path in (video, poster):

@@ -88,7 +88,7 @@ def test_answers_to_another_study_are_not_orphaned(export_study, rating_study, c
 @pytest.mark.parametrize(
     ("values", "sentence"),
     [
-        (["conditions=[Ground truth,Nobody]"], "conditions names 'Nobody'; the rows are Ground truth, Naive baseline"),
+        (["conditions=[Ground truth,Nobody]"], "conditions names 'Nobody'; the rows are Ground truth; Naive baseline"),
         (["conditions=[Ground truth]"], "at least two different rows"),
         (["n=500"], "grasps of ring; n asks for 500"),
         (["objects=[cup]"], "cup"),
