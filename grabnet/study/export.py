@@ -20,6 +20,7 @@ from grabnet.study.config import ExportConfig
 from grabnet.study.films import Scene, Set, film
 from grabnet.study.key import ANSWERS, CATCH, EXAMPLE, PRIVATE, SITE, Shown, StudyKey
 from grabnet.study.trials import balanced_lists, paired_cells, rating_cells
+from grabnet.visual.turntable import FilmConfig
 
 _PAGE = Path(__file__).with_name("page")
 _COMPLETION = "https://app.prolific.com/submissions/complete?cc="
@@ -36,16 +37,15 @@ def run(config: ExportConfig) -> int:
     """
     made = study_grasps(config)
     secret = _secret(config.folder)
-    grasps = {_name(secret, grasp, config): grasp for grasp in made.grasps}
+    sets = {
+        name: Set.of(mesh, [grasp.vertices for grasp in made.grasps if grasp.shown.object == name], config.film)
+        for name, mesh in made.meshes.items()
+    }
+    grasps = {_name(secret, grasp, sets[grasp.shown.object], config.film): grasp for grasp in made.grasps}
     grasps = dict(sorted(grasps.items()))  # the order of random names
     key = _key(config, made.conditions, {name: grasp.shown for name, grasp in grasps.items()}, made.record, secret)
     _refuse_other_answers(config.folder, key.study)
-    objects = list(made.meshes)
-    sets = [
-        Set.of(mesh, [g.vertices for g in made.grasps if g.shown.object == name], config.film)
-        for name, mesh in made.meshes.items()
-    ]
-    scenes = [Scene(n, g.vertices, g.faces, objects.index(g.shown.object)) for n, g in grasps.items()]
+    scenes = [Scene(name, g.vertices, g.faces, g.shown.object) for name, g in grasps.items()]
     site = config.folder / SITE
     new = film(scenes, sets, site, config.film, config.processes)
     key.write(config.folder)
@@ -67,10 +67,10 @@ def _secret(folder: Path) -> bytes:
     return path.read_bytes()
 
 
-def _name(secret: bytes, grasp: Grasp, config: ExportConfig) -> str:
+def _name(secret: bytes, grasp: Grasp, shared: Set, config: FilmConfig) -> str:
     """A name that tells nothing to whoever lacks the secret, and is the same for the same video."""
-    shown = json.dumps(asdict(grasp.shown), sort_keys=True)
-    content = sha256(shown, grasp.vertices, grasp.faces, json.dumps(asdict(config.film)))
+    shown = json.dumps([asdict(grasp.shown), shared.distance, asdict(config)], sort_keys=True)
+    content = sha256(shown, grasp.vertices, grasp.faces, shared.solid.vertices, shared.solid.faces)
     return hmac.new(secret, content.encode(), "sha256").hexdigest()[:20]
 
 
