@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property, partial
+from pathlib import Path
 
 import numpy as np
 
@@ -16,11 +19,12 @@ from grabnet.evaluation.generated import drawn, read_grasps
 from grabnet.evaluation.hands import Hands
 from grabnet.evaluation.inputs import EvaluationInputs
 from grabnet.evaluation.metrics import Metric
-from grabnet.evaluation.models import treatment
+from grabnet.evaluation.models import EvaluatedModel, treatment
 from grabnet.evaluation.recorded import ground_truth_sample, recorded_hands
 from grabnet.evaluation.recorded_generator import RecordedGenerator
 from grabnet.evaluation.template_generator import TemplateGenerator
 from grabnet.geometry.mesh import load_mesh
+from grabnet.models.generator import GraspGenerator
 
 # Rank of what is expected to come out worse than anything else.
 _LAST = 100
@@ -54,18 +58,39 @@ class Method:
         return np.empty(0) if values is None else values[: metric.samples].astype(float) * metric.scale
 
 
-def make_methods(inputs: EvaluationInputs, without_network: bool = True) -> list[Method]:
+@dataclass(frozen=True)
+class Row:
+    """A method that can be compared, whose grasps are not made yet.
+
+    name, rank: as the method's.
+    make: the method with its hands, not yet measured. Raises a `UserError` for grasps that cannot be read or are of no
+        object that is evaluated, and where a training object is needed and there is none.
+    """
+
+    name: str
+    rank: int | None
+    make: Callable[[], Method]
+
+
+def make_methods(inputs: EvaluationInputs) -> list[Method]:
     """Return all methods with their hands, not yet measured.
 
-    Args:
-        inputs: of the evaluation.
-        without_network: the naive baseline and templates, too.
-
     Raises:
-        UserError: grasps that cannot be read, or are of no object that is evaluated.
+        UserError: as `Row.make`.
     """
-    methods = [_ground_truth(inputs), *(_without_network(inputs) if without_network else []), *_models(inputs)]
-    return methods + _folders(inputs, {method.name for method in methods})
+    return [row.make() for row in method_rows(inputs)]
+
+
+def method_rows(inputs: EvaluationInputs) -> list[Row]:
+    """Return what can be compared, in the order of the tables."""
+    rows = [Row("Ground truth", 0, partial(_ground_truth, inputs))]
+    rows += [*_WithoutNetwork(inputs).rows(), *_models(inputs)]
+    names = {row.name for row in rows}
+    for folder in inputs.config.folders:
+        name = folder.name if folder.name not in names else str(folder)
+        names.add(name)
+        rows.append(Row(name, None, partial(_folder, inputs, folder, name)))
+    return rows
 
 
 def _ground_truth(inputs: EvaluationInputs) -> Method:
@@ -75,82 +100,113 @@ def _ground_truth(inputs: EvaluationInputs) -> Method:
     return Method("Ground truth", about, 0, hands, is_recorded=True)
 
 
-def _without_network(inputs: EvaluationInputs) -> list[Method]:
+class _WithoutNetwork:
     """The naive baseline; and, where models' grasps are optimised or chosen from candidates, what that gives without a
-    network: of the baseline's grasps, and of templates.
+    network: of the baseline's grasps, and of templates."""
 
-    Raises:
-        UserError: there is no training object.
-    """
-    config, names = inputs.config, inputs.training_objects
-    if not names:
-        raise UserError(f"{inputs.data.store_dir} has no training object with a mesh in {inputs.data.objects_dir}.")
-    files = [inputs.files[name] for name in names]
-    about = "training grasps of the object with the most similar BPS, put in the same place"
-    baseline = Method("Naive baseline", about, _LAST, {}, is_recorded=True)
-    similar: dict[str, Lookalike] = {}
-    for name, mesh in track(inputs.meshes.items(), "Looking for similar objects"):
-        similar[name] = lookalike(mesh, files, inputs.cache)
-        origin = load_mesh(files[similar[name].number])
-        hands = recorded_hands(inputs.training_part, inputs.hand, names[similar[name].number], origin)
-        chosen = np.random.default_rng([config.seed, 3]).permutation(len(hands))[: config.n]
-        baseline.hands[name] = transplanted(hands.select(chosen), origin, mesh, similar[name].turn)
-        note(f"{baseline.name}: {name} is grasped like {names[similar[name].number]}")
+    def __init__(self, inputs: EvaluationInputs):
+        self._inputs = inputs
+        self._suffix = treatment(inputs.config.optimise, inputs.config.candidates)
 
-    suffix = treatment(config.optimise, config.candidates)
-    if not suffix:
-        return [baseline]
-    recorded, proposed = {}, {}
-    for name, mesh in inputs.meshes.items():
-        number, turn = similar[name]
-        recorded[name] = RecordedGenerator(inputs.training_part, inputs.hand, names[number], turn)
-        proposed[name] = TemplateGenerator(mesh, inputs.hand, inputs.data.cache_dir)
-    rows = {
-        "Naive baseline": ("recorded grasps of the same object, with the mean hand", recorded, inputs.fingerprint),
-        "Templates": ("templates of human grasps where they fit the object, without any network", proposed, []),
-    }
-    methods = [baseline]
-    for title, (about, generators, sources) in rows.items():
-        hands = {}
+    def rows(self) -> list[Row]:
+        rows = [Row("Naive baseline", _LAST, self._baseline)]
+        if self._suffix:
+            rows.append(Row(f"Naive baseline{self._suffix}", 2, self._recorded))
+            rows.append(Row(f"Templates{self._suffix}", 2, self._templates))
+        return rows
+
+    @cached_property
+    def _similar(self) -> dict[str, Lookalike]:
+        """The training object that each evaluated one looks most like.
+
+        Raises:
+            UserError: there is no training object.
+        """
+        inputs = self._inputs
+        if not inputs.training_objects:
+            raise UserError(f"{inputs.data.store_dir} has no training object with a mesh in {inputs.data.objects_dir}.")
+        files = [inputs.files[name] for name in inputs.training_objects]
+        meshes = track(inputs.meshes.items(), "Looking for similar objects")
+        return {name: lookalike(mesh, files, inputs.cache) for name, mesh in meshes}
+
+    def _baseline(self) -> Method:
+        inputs, config, hands = self._inputs, self._inputs.config, {}
+        for name, (number, turn) in self._similar.items():
+            source = inputs.training_objects[number]
+            origin = load_mesh(inputs.files[source])
+            recorded = recorded_hands(inputs.training_part, inputs.hand, source, origin)
+            chosen = np.random.default_rng([config.seed, 3]).permutation(len(recorded))[: config.n]
+            hands[name] = transplanted(recorded.select(chosen), origin, inputs.meshes[name], turn)
+            note(f"Naive baseline: {name} is grasped like {source}")
+        about = "training grasps of the object with the most similar BPS, put in the same place"
+        return Method("Naive baseline", about, _LAST, hands, is_recorded=True)
+
+    def _recorded(self) -> Method:
+        inputs, part = self._inputs, self._inputs.training_part
+        generators = {
+            name: RecordedGenerator(part, inputs.hand, inputs.training_objects[number], turn)
+            for name, (number, turn) in self._similar.items()
+        }
+        sources = {name: [*inputs.fingerprint, str(found)] for name, found in self._similar.items()}
+        return self._treated(
+            "Naive baseline", "recorded grasps of the same object, with the mean hand", generators, sources
+        )
+
+    def _templates(self) -> Method:
+        inputs = self._inputs
+        generators = {
+            name: TemplateGenerator(mesh, inputs.hand, inputs.data.cache_dir) for name, mesh in inputs.meshes.items()
+        }
+        return self._treated(
+            "Templates", "templates of human grasps where they fit the object, without any network", generators, {}
+        )
+
+    def _treated(
+        self,
+        title: str,
+        about: str,
+        generators: Mapping[str, GraspGenerator],
+        sources: Mapping[str, Sequence[str]],
+    ) -> Method:
+        inputs, config, hands = self._inputs, self._inputs.config, {}
         for name, mesh in inputs.meshes.items():
             grabber = config.treated(generators[name], inputs.hand)
-            made = [title, *sources, *([str(similar[name])] if sources else [])]
+            made = [title, *sources.get(name, [])]
             hands[name] = drawn(grabber, made, mesh, config.n, config.seed, inputs.data.cache_dir, inputs.cache)
-        methods.append(Method(title + suffix, about + suffix, 2, hands))
-    return methods
+        return Method(title + self._suffix, about + self._suffix, 2, hands)
 
 
-def _models(inputs: EvaluationInputs) -> list[Method]:
-    config, methods = inputs.config, []
+def _models(inputs: EvaluationInputs) -> list[Row]:
+    rows = []
     for model in inputs.models:
         variants = model.variants()
-        for place, (variant, grabber) in enumerate(variants.items()):
-            name = model.title(variant, among=inputs.models)
-            note(f"{name}: {', '.join(str(file) for file in model.files.values())}")
-            sources = [variant, *model.hashes.values()]
-            hands = {
-                object_name: drawn(grabber, sources, mesh, config.n, config.seed, inputs.data.cache_dir, inputs.cache)
-                for object_name, mesh in track(inputs.meshes.items(), f"Drawing grasps from {name}")
-            }
-            methods.append(Method(name, f"drawn from {model.name}", len(variants) - place, hands))
-    return methods
+        for place, variant in enumerate(variants):
+            name, rank = model.title(variant, among=inputs.models), len(variants) - place
+            rows.append(Row(name, rank, partial(_variant, inputs, model, variant, name, rank)))
+    return rows
 
 
-def _folders(inputs: EvaluationInputs, taken: set[str]) -> list[Method]:
-    methods = []
-    for folder in inputs.config.folders:
-        name = folder.name if folder.name not in taken else str(folder)
-        read = {
-            object_name: read_grasps(folder, object_name, inputs.files[object_name], inputs.hand, inputs.config.n)
-            for object_name in track(inputs.objects, f"Reading {folder}")
-        }
-        method = Method(name, f"grasps in {folder}", None, {k: hands for k, hands in read.items() if hands is not None})
-        missing = ", ".join(object_name for object_name in read if object_name not in method.hands)
-        if not method.hands:
-            raise UserError(f"{folder} has no folder called like an object; these are {missing}.")
-        if missing:
-            say(f"{name} has no grasps of {missing}.")
-            method.about += f", which has none of {missing}"
-        taken.add(name)
-        methods.append(method)
-    return methods
+def _variant(inputs: EvaluationInputs, model: EvaluatedModel, variant: str, name: str, rank: int) -> Method:
+    config, grabber = inputs.config, model.variants()[variant]
+    note(f"{name}: {', '.join(str(file) for file in model.files.values())}")
+    sources = [variant, *model.hashes.values()]
+    hands = {
+        object_name: drawn(grabber, sources, mesh, config.n, config.seed, inputs.data.cache_dir, inputs.cache)
+        for object_name, mesh in track(inputs.meshes.items(), f"Drawing grasps from {name}")
+    }
+    return Method(name, f"drawn from {model.name}", rank, hands)
+
+
+def _folder(inputs: EvaluationInputs, folder: Path, name: str) -> Method:
+    read = {
+        object_name: read_grasps(folder, object_name, inputs.files[object_name], inputs.hand, inputs.config.n)
+        for object_name in track(inputs.objects, f"Reading {folder}")
+    }
+    method = Method(name, f"grasps in {folder}", None, {k: hands for k, hands in read.items() if hands is not None})
+    missing = ", ".join(object_name for object_name in read if object_name not in method.hands)
+    if not method.hands:
+        raise UserError(f"{folder} has no folder called like an object; these are {missing}.")
+    if missing:
+        say(f"{name} has no grasps of {missing}.")
+        method.about += f", which has none of {missing}"
+    return method

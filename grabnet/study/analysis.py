@@ -110,10 +110,13 @@ def analyse(config: AnalysisConfig) -> Analysis:
     if config.videos is not None:
         videos |= read_videos(Path(config.videos).expanduser())
     levels = list(key.levels if key else _LEVELS)
+    if config.filter.level > len(levels) and (key is None or key.kind == "rating"):
+        raise UserError(f"filter.level is {config.filter.level}; the answers of this study are 1 to {len(levels)}.")
     answers = read_answers(config.files, key, videos, levels, config.batch)
     if not answers.rows:
         reasons = "; ".join(answers.problems[:3])
-        raise UserError(f"No answer counts{': ' + reasons if reasons else ''}.")
+        named = ", ".join(map(str, config.files))
+        raise UserError(f"No answer counts in {named}{': ' + reasons if reasons else ''}.")
     conditions = _conditions(answers, key, config.reference)
     judged = judge(answers, config.filter)
     kept = answers.of([j.rater for j in judged if j.is_kept])

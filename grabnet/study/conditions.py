@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from hydra.utils import instantiate
+from omegaconf import DictConfig
 
 from grabnet.cli.entry import compose
-from grabnet.cli.quoting import quoted
 from grabnet.errors import UserError
 from grabnet.evaluation.inputs import EvaluationInputs
-from grabnet.evaluation.methods import Method, make_methods
+from grabnet.evaluation.methods import Method, Row, method_rows
 from grabnet.geometry.mesh import Mesh
 from grabnet.study.catches import Catches
 from grabnet.study.config import ExportConfig
@@ -55,7 +56,7 @@ def study_grasps(config: ExportConfig) -> StudyGrasps:
         UserError: conditions, objects, models or data that are missing, or too few grasps.
     """
     inputs = EvaluationInputs(instantiate(_evaluation(config), _convert_="object"))
-    methods = _chosen(make_methods(inputs, without_network=config.conditions is not None), config)
+    methods = [row.make() for row in _chosen(method_rows(inputs), config)]
     grasps = [grasp for method in methods for name in inputs.objects for grasp in _of(method, name, config.n)]
     for number, name in enumerate(inputs.objects):
         truth, seed = inputs.truth[name], config.seed
@@ -78,30 +79,27 @@ def study_grasps(config: ExportConfig) -> StudyGrasps:
     return StudyGrasps([method.name for method in methods], inputs.meshes, grasps, record)
 
 
-def _evaluation(config: ExportConfig):
-    """The evaluation's config: further values first, so that the export's own stand."""
+def _evaluation(config: ExportConfig) -> DictConfig:
+    """The evaluation's config; of its further values the export's own stand."""
+    evaluation = compose("evaluate", config.evaluation)
     by_split = isinstance(config.objects, str)
-    values = [f"split={config.objects if by_split else 'test'}", f"n={config.n}", f"seed={config.seed}"]
-    values += [f"processes={config.processes}"]
-    if not by_split:
-        values.append(f"only=[{','.join(config.objects)}]")
-    for name in ("models", "runs", "grasps"):
-        value = getattr(config, name)
-        listed = f"[{','.join(value)}]" if isinstance(value, list) else "null" if value is None else value
-        values += quoted([f"{name}={listed}"], ("runs",), ("models", "grasps"))
-    return compose("evaluate", [*config.evaluation, *values])
+    evaluation.split = config.objects if by_split else "test"
+    evaluation.only = None if by_split else config.objects
+    for name in ("models", "runs", "grasps", "n", "seed", "processes"):
+        evaluation[name] = getattr(config, name)
+    return evaluation
 
 
-def _chosen(methods: list[Method], config: ExportConfig) -> list[Method]:
-    by_name = {method.name: method for method in methods}
+def _chosen(rows: Sequence[Row], config: ExportConfig) -> list[Row]:
     if config.conditions is None:
         # A model's last row has rank 1: parts of it, what is not optimised, and rows without a network come below.
-        return [method for method in methods if method.rank is None or method.rank <= 1]
+        return [row for row in rows if row.rank is None or row.rank <= 1]
+    by_name = {row.name: row for row in rows}
     if unknown := [name for name in config.conditions if name not in by_name]:
-        raise UserError(f"conditions names {unknown[0]!r}; the rows are {', '.join(by_name)}.")
+        raise UserError(f"conditions names {unknown[0]!r}; the rows are {'; '.join(by_name)}.")
     if len(set(config.conditions)) < len(config.conditions) or len(config.conditions) < 2:
         raise UserError("conditions must name at least two different rows.")
-    return sorted((by_name[name] for name in config.conditions), key=lambda method: method.rank != 0)
+    return sorted((by_name[name] for name in config.conditions), key=lambda row: row.rank != 0)
 
 
 def _of(method: Method, name: str, n: int) -> list[Grasp]:

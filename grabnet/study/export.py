@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hmac
 import json
+import re
 import secrets
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -18,8 +19,10 @@ from grabnet.io.provenance import provenance
 from grabnet.study.conditions import Grasp, study_grasps
 from grabnet.study.config import ExportConfig
 from grabnet.study.films import Scene, Set, film
-from grabnet.study.key import ANSWERS, CATCH, EXAMPLE, PRIVATE, SITE, Shown, StudyKey
+from grabnet.study.key import ANSWERS, CATCH, EXAMPLE, PRIVATE, SECRET, SITE, Shown, StudyKey
+from grabnet.study.store import AnswerStore
 from grabnet.study.trials import balanced_lists, paired_cells, rating_cells
+from grabnet.visual.turntable import FilmConfig
 
 _PAGE = Path(__file__).with_name("page")
 _COMPLETION = "https://app.prolific.com/submissions/complete?cc="
@@ -36,16 +39,21 @@ def run(config: ExportConfig) -> int:
     """
     made = study_grasps(config)
     secret = _secret(config.folder)
-    grasps = {_name(secret, grasp, config): grasp for grasp in made.grasps}
+    sets = {
+        name: Set.of(mesh, [grasp.vertices for grasp in made.grasps if grasp.shown.object == name], config.film)
+        for name, mesh in made.meshes.items()
+    }
+    grasps = {_name(secret, grasp, sets[grasp.shown.object], config.film): grasp for grasp in made.grasps}
     grasps = dict(sorted(grasps.items()))  # the order of random names
     key = _key(config, made.conditions, {name: grasp.shown for name, grasp in grasps.items()}, made.record, secret)
-    _refuse_other_answers(config.folder, key.study)
-    objects = list(made.meshes)
-    sets = [
-        Set.of(mesh, [g.vertices for g in made.grasps if g.shown.object == name], config.film)
-        for name, mesh in made.meshes.items()
-    ]
-    scenes = [Scene(n, g.vertices, g.faces, objects.index(g.shown.object)) for n, g in grasps.items()]
+    with AnswerStore(config.folder / PRIVATE / ANSWERS) as store:  # which no server uses meanwhile
+        _refuse_other_answers(config.folder, store, key.study)
+        _write(config, key, grasps, sets)
+    return 0
+
+
+def _write(config: ExportConfig, key: StudyKey, grasps: Mapping[str, Grasp], sets: Mapping[str, Set]) -> None:
+    scenes = [Scene(name, g.vertices, g.faces, g.shown.object) for name, g in grasps.items()]
     site = config.folder / SITE
     new = film(scenes, sets, site, config.film, config.processes)
     key.write(config.folder)
@@ -54,23 +62,25 @@ def run(config: ExportConfig) -> int:
     print(f"{config.folder}: {len(scenes)} videos, {new} of them new; {trials}")
     print(f"  {site} is to be served: grabnet study serve export={config.folder}")
     print(f"  {config.folder / PRIVATE} tells what the videos show: keep it to yourself")
-    return 0
 
 
 def _secret(folder: Path) -> bytes:
-    path = folder / PRIVATE / "secret"
+    path = folder / PRIVATE / SECRET
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.parent.chmod(0o700)
         write_bytes(path, secrets.token_hex(32).encode())
         path.chmod(0o600)
-    return path.read_bytes()
+    secret = path.read_bytes()
+    if not re.fullmatch(rb"[0-9a-f]{64}", secret):
+        raise UserError(f"{path} is damaged: choose another output, or remove the export.")
+    return secret
 
 
-def _name(secret: bytes, grasp: Grasp, config: ExportConfig) -> str:
+def _name(secret: bytes, grasp: Grasp, shared: Set, config: FilmConfig) -> str:
     """A name that tells nothing to whoever lacks the secret, and is the same for the same video."""
-    shown = json.dumps(asdict(grasp.shown), sort_keys=True)
-    content = sha256(shown, grasp.vertices, grasp.faces, json.dumps(asdict(config.film)))
+    shown = json.dumps([asdict(grasp.shown), shared.distance, asdict(config)], sort_keys=True)
+    content = sha256(shown, grasp.vertices, grasp.faces, shared.solid.vertices, shared.solid.faces)
     return hmac.new(secret, content.encode(), "sha256").hexdigest()[:20]
 
 
@@ -88,10 +98,9 @@ def _key(
     return StudyKey(study, config.kind, config.levels, conditions, videos, lists, record | facts)
 
 
-def _refuse_other_answers(folder: Path, study: str) -> None:
-    answers = folder / PRIVATE / ANSWERS
-    if answers.exists() and answers.stat().st_size and StudyKey.read(folder).study != study:
-        raise UserError(f"{answers} holds answers to the study as it was before: choose another output.")
+def _refuse_other_answers(folder: Path, store: AnswerStore, study: str) -> None:
+    if store.path.stat().st_size and StudyKey.read(folder).study != study:
+        raise UserError(f"{store.path} holds answers to the study as it was before: choose another output.")
 
 
 def _write_page(site: Path, config: ExportConfig, key: StudyKey) -> None:

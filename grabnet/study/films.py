@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain
@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from joblib import Parallel, delayed
 from PIL import Image
+from scipy.spatial import ConvexHull
 
 from grabnet.cli.progress import track
 from grabnet.errors import UserError
@@ -29,13 +30,13 @@ class Scene:
 
     name: of its files, without suffix.
     vertices: (V, 3) and faces (F, 3) of the closed hand, in the frame of the object's mesh, metres.
-    object: number of the object.
+    object: its name.
     """
 
     name: str
     vertices: np.ndarray
     faces: np.ndarray
-    object: int
+    object: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,29 +44,38 @@ class Set:
     """What all films of one object share.
 
     solid: the object, as it is drawn.
-    centre: (3,) that the camera turns about.
-    distance: of the camera from it.
+    corners: (N, 3) of its convex hull.
+    distance: of the camera from what it turns about, so that no hand leaves the picture.
     """
 
     solid: Shape
-    centre: np.ndarray
+    corners: np.ndarray
     distance: float
 
     @classmethod
     def of(cls, mesh: Mesh, hands: Sequence[np.ndarray], config: FilmConfig) -> Set:
         """The set in which each of the hands (V, 3) stays in view all the way round."""
-        points = np.concatenate([mesh.vertices, *hands])
-        centre = (points.min(0) + points.max(0)) / 2
         solid = thinned(Shape(mesh.vertices, mesh.faces, OBJECT), config.faces)
-        return cls(solid, centre, config.distance(points, centre))
+        corners = mesh.vertices[ConvexHull(mesh.vertices).vertices]
+        distance = max(config.distance(np.concatenate([corners, hand]), _middle(corners, hand)) for hand in hands)
+        return cls(solid, corners, distance)
+
+    def centre(self, hand: np.ndarray) -> np.ndarray:
+        """(3,) that the camera turns about where the object is held by a hand (V, 3)."""
+        return _middle(self.corners, hand)
 
 
-def film(scenes: Sequence[Scene], sets: Sequence[Set], site: Path, config: FilmConfig, processes: int) -> int:
+def _middle(*parts: np.ndarray) -> np.ndarray:
+    """The middle of the box around points (N, 3) each."""
+    return (np.min([part.min(0) for part in parts], 0) + np.max([part.max(0) for part in parts], 0)) / 2
+
+
+def film(scenes: Sequence[Scene], sets: Mapping[str, Set], site: Path, config: FilmConfig, processes: int) -> int:
     """Write the videos and posters that are not there yet, each atomically, and remove those of other scenes.
 
     Args:
         scenes: of different names.
-        sets: of each object.
+        sets: by object.
         site: folder in which `videos/` and `posters/` lie.
         config: how they are drawn.
         processes: at once.
@@ -98,9 +108,9 @@ def film(scenes: Sequence[Scene], sets: Sequence[Set], site: Path, config: FilmC
 def _film(scene: Scene, shared: Set, site: Path, config: FilmConfig) -> None:
     video, poster = _files(site, scene.name)
     hand = Shape(scene.vertices, scene.faces, SKIN)
-    frames = _turntable(config).frames([shared.solid, hand], shared.centre, shared.distance)
+    frames = _turntable(config).frames([shared.solid, hand], shared.centre(scene.vertices), shared.distance)
     first = next(frames)
-    picture = Image.fromarray(first).resize((config.size, config.size), Image.Resampling.BOX)
+    picture = Image.fromarray(first[..., :3]).resize((config.size, config.size), Image.Resampling.BOX)
     save_image(poster, np.asarray(picture))
     write_video(video, chain([first], frames), config.size, config.fps, config.quality)
     for path in (video, poster):

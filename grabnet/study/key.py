@@ -15,9 +15,11 @@ from grabnet.errors import UserError
 from grabnet.io.files import existing, write_json
 from grabnet.io.state import read_json
 
-SITE, PRIVATE, ANSWERS = "site", "private", "answers.jsonl"
+SITE, PRIVATE, ANSWERS, SECRET = "site", "private", "answers.jsonl", "secret"
 # Of catch trials, and of the videos in the instructions; no row of an evaluation is called so.
 CATCH, EXAMPLE = "catch", "example"
+# What reports call all objects together.
+ALL = "all"
 # Each trial shows one grasp, or two of which one is chosen.
 KINDS = ("rating", "paired")
 _SHOWN = {"object": str, "condition": str, "grasp": int, "perturbation": (None, {str: object})}
@@ -101,6 +103,18 @@ class StudyKey:
         values = read_json(path, _KEY, "export the study again")
         videos = {name: Shown(**{field: shown[field] for field in _SHOWN}) for name, shown in values["videos"].items()}
         key = cls(**{field: values[field] for field in _KEY} | {"videos": videos})
-        if any(name not in videos for trials in key.lists for trial in trials for name in trial):
-            raise UserError(f"{path} is damaged (its lists name other videos than it has): export the study again.")
+        if reason := key._fault():
+            raise UserError(f"{path} is damaged ({reason}): export the study again.")
         return key
+
+    def _fault(self) -> str:
+        """What does not fit together; empty where all does."""
+        per_trial = 1 if self.kind == "rating" else 2
+        trials = [trial for trials in self.lists for trial in trials]
+        if any(name not in self.videos for trial in trials for name in trial):
+            return "its lists name other videos than it has"
+        if not all([trials, *self.lists]) or any({len(trial), len(set(trial))} != {per_trial} for trial in trials):
+            return f"its lists are not of trials of {per_trial} videos"
+        if len(self.levels) < 2 or (per_trial == 2 and len(self.levels) != 2):
+            return "its levels are not as many as there can be answers"
+        return ""

@@ -72,7 +72,7 @@ def fit(ratings: Ratings, config: ModelConfig, seed: int) -> OrdinalFit:
     # Levels that nobody used have no cutpoint.
     used, level = np.unique(ratings.rating, return_inverse=True)
     kernel = numpyro.infer.NUTS(
-        _parted(ratings, numpyro), init_strategy=numpyro.infer.init_to_median, target_accept_prob=0.85
+        _parted(ratings, numpyro), init_strategy=numpyro.infer.init_to_feasible, target_accept_prob=0.85
     )
     sampler = numpyro.infer.MCMC(
         kernel,

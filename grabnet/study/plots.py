@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 
 from grabnet.evaluation.bootstrap import Estimate
 from grabnet.study.filtering import Judged
-from grabnet.study.scores import ALL, Score
+from grabnet.study.key import ALL
+from grabnet.study.scores import Score
 
 COLOURS = ("#3f7d58", "#c5523f", "#e3a64b", "#4b6a9b", "#8a5a9e", "#3b8f9c", "#7a6a53")
 # From worst to best answer; pale enough to write on.
@@ -28,6 +29,7 @@ _STYLE = {
     "axes.grid": True,
     "axes.axisbelow": True,
     "grid.color": "#edf0f2",
+    "text.parse_math": False,  # names may have $
     "svg.hashsalt": "grabnet",  # the same names in every file
 }
 

@@ -18,8 +18,8 @@ from grabnet.evaluation.bootstrap import Estimate
 from grabnet.io.files import replacing, write_json
 from grabnet.study import plots
 from grabnet.study.analysis import Analysis, AnalysisConfig, analyse, rating_shares
+from grabnet.study.key import ALL
 from grabnet.study.records import PLATFORM_IDS
-from grabnet.study.scores import ALL
 
 _TEMPLATE = Path(__file__).with_name("report.html")
 # Mean and deviation that the paper gives (Table 2), generated and ground truth.

@@ -9,9 +9,7 @@ import numpy as np
 
 from grabnet.evaluation.bootstrap import NOTHING, Estimate
 from grabnet.study.answers import Answers
-from grabnet.study.key import CATCH, EXAMPLE
-
-ALL = "all"
+from grabnet.study.key import ALL, CATCH, EXAMPLE
 
 
 @dataclass(frozen=True, eq=False)

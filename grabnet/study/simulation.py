@@ -17,11 +17,13 @@ from grabnet.io.files import write_bytes, write_json
 from grabnet.io.provenance import provenance
 from grabnet.study.answers import Answers
 from grabnet.study.filtering import FilterConfig, judge
-from grabnet.study.key import ANSWERS, CATCH, KINDS, PRIVATE, Shown, StudyKey
+from grabnet.study.key import ALL, ANSWERS, CATCH, KINDS, PRIVATE, SECRET, Shown, StudyKey
 from grabnet.study.ordinal import ModelConfig, fit
 from grabnet.study.raters import RaterModel, simulated_answers
-from grabnet.study.scores import ALL, Ratings, scores
+from grabnet.study.scores import Ratings, scores
 from grabnet.study.trials import balanced_lists, paired_cells, rating_cells
+
+_RECORD = "simulation.json"
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,7 @@ def run(config: SimulationConfig) -> int:
     output = Path(config.output).expanduser()
     rng = np.random.default_rng([config.seed, 9])
     own = config.export is None
+    _refuse_real_answers(output)
     key = config.design.key(config.model.levels, rng) if own else StudyKey.read(config.export)
     if key.kind == "rating" and len(key.levels) != config.model.levels:
         raise UserError(f"The study has {len(key.levels)} levels; model.thresholds must be one fewer.")
@@ -101,12 +104,20 @@ def run(config: SimulationConfig) -> int:
         if not repeat:
             _write_answers(output, key, answers, own)
     summary = _summary(found, config, key)
-    write_json(output / "simulation.json", summary | {"config": asdict(config), "provenance": provenance()})
+    write_json(output / _RECORD, summary | {"config": asdict(config), "provenance": provenance()})
     print(json.dumps(summary, indent=2))
     where = output if own else config.export
     more = "" if own else f" answers={output / ANSWERS}"
     print(f"grabnet study analyse export={where}{more} reports the first simulated study")
     return 0
+
+
+def _refuse_real_answers(output: Path) -> None:
+    """Raise a `UserError` where synthetic answers would replace an export's key, or answers of people."""
+    for folder in (output / PRIVATE, output):
+        is_simulated = (output / _RECORD).exists()
+        if (folder / SECRET).exists() or ((folder / ANSWERS).exists() and not is_simulated):
+            raise UserError(f"{folder} holds a study or answers that no simulation wrote: choose another output.")
 
 
 def _rehearse(

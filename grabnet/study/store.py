@@ -33,6 +33,7 @@ class AnswerStore:
     """
 
     def __init__(self, path: Path):
+        self.path = path
         path.parent.mkdir(parents=True, exist_ok=True)
         self._lock = filelock.FileLock(path.with_suffix(".lock"))
         try:

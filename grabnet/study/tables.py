@@ -1,5 +1,7 @@
 """Answers in tables: plain CSV, and the batch files that Mechanical Turk wrote until it closed.
 
+Fields are parted by commas, semicolons or tabs.
+
 Plain CSV has a line for each answer, with the columns `rater`, `rating`, and either `video` or `object`, `condition`
 and `grasp`; catch trials have the condition `catch`. Further columns are not read.
 
@@ -19,7 +21,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from grabnet.errors import UserError
-from grabnet.study.key import Shown
+from grabnet.study.key import ALL, CATCH, EXAMPLE, Shown
 from grabnet.study.records import PLATFORM_IDS, RecordError, decode
 
 _MOST_COLUMNS = 2000
@@ -111,7 +113,10 @@ def _lines(path: Path, problems: list[str]) -> Iterator[tuple[list[str], int]]:
     """The header and all lines with as many fields, each with its number in the file."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file, strict=True)
+            first = next((line for line in file if line.strip()), "")
+            file.seek(0)
+            delimiter = max(",;\t", key=first.count)  # spreadsheets write ; where a comma is the decimal point
+            reader = csv.reader(file, delimiter=delimiter, strict=True)
             header: list[str] | None = None
             for line in reader:
                 if not line:
@@ -222,7 +227,10 @@ def _shown(row: Mapping[str, str]) -> Shown:
     values = [row[name].strip() for name in ("object", "condition", "grasp")]
     if not all(values) or not re.fullmatch(r"[0-9]{1,9}", values[2]):
         raise RecordError("it needs an object, a condition, and a grasp's number")
-    return Shown(values[0], values[1], int(values[2]))
+    if values[0] == ALL or values[1] == EXAMPLE:
+        raise RecordError(f"no object can be called {ALL}, and no condition {EXAMPLE}")
+    condition = CATCH if values[1].casefold() == CATCH else values[1]
+    return Shown(values[0], condition, int(values[2]))
 
 
 def _quoted(text: str) -> str:

@@ -18,10 +18,10 @@ from grabnet.study.agreement import krippendorff_alpha
 from grabnet.study.analysis import AnalysisConfig, analyse
 from grabnet.study.answers import Answer, Answers
 from grabnet.study.filtering import FilterConfig, judge
-from grabnet.study.key import CATCH, Shown
+from grabnet.study.key import ALL, CATCH, Shown
 from grabnet.study.pairs import bradley_terry, strengths
 from grabnet.study.report import run
-from grabnet.study.scores import ALL, Ratings, scores
+from grabnet.study.scores import Ratings, scores
 from tests.study.conftest import made_key, record_of
 
 RULE = FilterConfig(level=3, share=0.2, least=1)
@@ -141,6 +141,29 @@ def test_plain_csv(tmp_path):
     assert "a.csv, line 2:" not in said and "2 times; the first counts" in said
 
 
+@pytest.mark.parametrize("delimiter", [";", "\t", ","])
+def test_csv_as_spreadsheets_write_it(delimiter, tmp_path):
+    """With a mark of the byte order, carriage returns, any delimiter, and names that are code elsewhere."""
+    odd = r"""<b>"x"</b> $\frac & 50 %"""
+    path = tmp_path / "odd.csv"
+    with path.open("w", newline="", encoding="utf-8-sig") as file:
+        writer = csv.writer(file, delimiter=delimiter, lineterminator="\r\n")
+        writer.writerow(["rater", "object", "condition", "grasp", "rating"])
+        for rater in ("a;b", "a,b"):
+            for grasp in range(3):
+                writer.writerows([[rater, odd, "Ground truth", grasp, 5], [rater, odd, odd, grasp, 2 + grasp]])
+            writer.writerow([rater, odd, "Catch", 0, 1])
+        writer.writerows([["a;b", "all", odd, 0, 1], ["a;b", odd, "example", 0, 1]])
+    assert run(config(f"answers={path}", f"output={tmp_path / 'out'}")) == 1
+    summary = json.loads((tmp_path / "out/analysis.json").read_text())
+    assert summary["raters"] == {"all": 2, "kept": 2} and len(summary["left_out"]) == 2
+    assert "no object can be called all, and no condition example" in summary["left_out"][0]
+    means = {(s["object"], s["condition"]): s["mean"]["value"] for s in summary["scores"]}
+    assert means == {(o, c): m for o in (odd, ALL) for c, m in (("Ground truth", 5.0), (odd, 3.0))}
+    page = (tmp_path / "out/report.html").read_text()
+    assert "<b>" not in page and "&lt;b&gt;" in page
+
+
 WORDS = ["Strongly disagree", "disagree", "", "agree", "strongly agree"]
 BATCHES = {
     "number": (["Answer.rating"], lambda level: [str(level)]),
@@ -203,7 +226,8 @@ def test_files_that_are_none_are_one_sentence(tmp_path, study):
         ([f"answers={tmp_path}/nul.csv"], "is no CSV in UTF-8|No answer counts"),
         ([f"answers={tmp_path}/x.txt"], "of no kind that is read"),
         ([f"answers={folder}/private/answers.jsonl"], "name its study, export="),
-        ([f"export={folder}"], "No answer counts: answers.jsonl, line 1"),
+        ([f"export={folder}"], r"No answer counts in \S+answers.jsonl: answers.jsonl, line 1"),
+        ([f"export={folder}", "filter.level=6"], "filter.level is 6; the answers of this study are 1 to 5"),
         ([], "Name what to analyse"),
         ([f"export={folder}", "filter.share=0"], "filter.share is 0; it must be above 0"),
     ]:

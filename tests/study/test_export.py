@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import stat
 from collections import Counter
 
@@ -18,6 +19,7 @@ from grabnet.geometry.mesh import Mesh
 from grabnet.study.catches import CatchConfig, Catches
 from grabnet.study.films import Set
 from grabnet.study.key import CATCH, EXAMPLE, StudyKey
+from grabnet.study.store import AnswerStore
 from grabnet.study.trials import balanced_lists
 from grabnet.visual.turntable import FilmConfig
 from tests.study.conftest import made_key
@@ -64,6 +66,20 @@ def test_nothing_that_is_served_tells_what_a_video_shows(rating_study):
     assert set(often.values()) == {2}  # catch trials are not shown more or less often
 
 
+def test_an_export_carries_the_licence_of_all_that_it_brings(rating_study):
+    bundled = rating_study / "site/jspsych"
+    licence = (bundled / "LICENSE").read_text()
+    scripts = {path.name for path in bundled.glob("*.js")}
+    assert scripts == {"jspsych.js", "plugin-html-button-response.js"} and all(name in licence for name in scripts)
+    # By the authors' own files: jsPsych, and what its bundle contains.
+    for holder in ("2014-2022 Joshua R. de Leeuw", "Sindre Sorhus", "2013 P'unk Avenue LLC", "2019 David Bau",
+                   "2010 by Johannes Baagøe"):  # fmt: skip
+        assert re.search(rf"Copyright (\([cC]\) )?{holder}", licence)
+    assert "MIT licence" in licence and "Permission is hereby granted, free of charge" in licence
+    for name, version in (("jspsych.js", "8.3.0"), ("plugin-html-button-response.js", "2.1.0")):
+        assert f'"{version}"' in (bundled / name).read_text() and version in licence
+
+
 def test_an_export_goes_on_where_it_was_stopped(export_study, rating_study, copied, capsys):
     folder = copied(rating_study)
     before = {path.name: path.read_bytes() for path in (folder / "site/videos").iterdir()}
@@ -83,12 +99,24 @@ def test_answers_to_another_study_are_not_orphaned(export_study, rating_study, c
     (folder / "private/answers.jsonl").write_text("{}\n")
     with pytest.raises(UserError, match="holds answers to the study as it was before: choose another output"):
         export_study(folder, "lists=3")
+    (folder / "private/secret").write_text("")  # names would be known to everybody
+    with pytest.raises(UserError, match="secret is damaged"):
+        export_study(folder)
+
+
+def test_a_study_that_is_served_is_not_exported_again(export_study, rating_study, copied):
+    folder = copied(rating_study)
+    with (
+        AnswerStore(folder / "private/answers.jsonl"),
+        pytest.raises(UserError, match=r"answers.jsonl is in use by another server"),
+    ):
+        export_study(folder, "lists=3")
 
 
 @pytest.mark.parametrize(
     ("values", "sentence"),
     [
-        (["conditions=[Ground truth,Nobody]"], "conditions names 'Nobody'; the rows are Ground truth, Naive baseline"),
+        (["conditions=[Ground truth,Nobody]"], "conditions names 'Nobody'; the rows are Ground truth; Naive baseline"),
         (["conditions=[Ground truth]"], "at least two different rows"),
         (["n=500"], "grasps of ring; n asks for 500"),
         (["objects=[cup]"], "cup"),
@@ -140,16 +168,18 @@ def test_every_point_stays_in_view():
     )
     rng = np.random.default_rng(0)
     box = trimesh.creation.box((0.3, 0.02, 0.05))
-    stage = Set.of(Mesh(box.vertices, box.faces), [rng.normal(0, 0.06, (40, 3))], config)
-    points = np.concatenate([box.vertices, rng.normal(0, 0, (1, 3))])
-    least = 1.0
-    for back in config.cameras():
-        right = np.cross([0, 0, 1], back) / np.linalg.norm(np.cross([0, 0, 1], back))
-        seen = (points - stage.centre) @ np.stack([right, np.cross(back, right), back]).T
-        assert (stage.distance - seen[:, 2] > 0).all()
-        share = abs(seen[:, :2]).max(1) / (stage.distance - seen[:, 2]) / np.tan(np.radians(20))
-        least = min(least, 1 - share.max())
-    assert least >= 0.2 - 1e-9  # both margins, of the half picture
+    hands = [rng.normal(place, 0.03, (40, 3)) for place in ((0, 0, 0.1), (0.2, 0.1, 0), (-0.1, 0, -0.05))]
+    stage = Set.of(Mesh(box.vertices, box.faces), hands, config)
+    free = []
+    for hand in hands:
+        points = np.concatenate([box.vertices, hand])
+        for back in config.cameras():
+            right = np.cross([0, 0, 1], back) / np.linalg.norm(np.cross([0, 0, 1], back))
+            seen = (points - stage.centre(hand)) @ np.stack([right, np.cross(back, right), back]).T
+            assert (stage.distance - seen[:, 2] > 0).all()
+            share = abs(seen[:, :2]).max(1) / (stage.distance - seen[:, 2]) / np.tan(np.radians(20))
+            free.append(1 - share.max())
+    assert min(free) == pytest.approx(0.2)  # both margins, of half the picture; no farther than it must be
 
 
 def test_lists_are_balanced_and_random():
@@ -179,6 +209,18 @@ def test_a_damaged_key_is_said(tmp_path):
     for text in ("{", "[]", '{"videos": {}}', '{"videos": {"a": {"x": 1}}}'):
         (tmp_path / "private/key.json").write_text(text)
         with pytest.raises(UserError, match=r"key.json is damaged .*: export the study again"):
+            StudyKey.read(tmp_path)
+    made_key().write(tmp_path)
+    whole = json.loads((tmp_path / "private/key.json").read_text())
+    trial = whole["lists"][0][0]
+    for changed, reason in [
+        ({"lists": []}, "lists are not of trials of 1 videos"), ({"lists": [[]]}, "lists are not of trials"),
+        ({"lists": [[trial * 2]]}, "lists are not of trials"), ({"lists": [[["x"]]]}, "lists name other videos"),
+        ({"kind": "paired"}, "lists are not of trials of 2"), ({"levels": ["a"]}, "levels are not as many"),
+        ({"levels": 5}, "levels"), ({"kind": "other"}, "kind"),
+    ]:  # fmt: skip
+        (tmp_path / "private/key.json").write_text(json.dumps(whole | changed))
+        with pytest.raises(UserError, match=rf"key.json is damaged .*{reason}.*: export the study again"):
             StudyKey.read(tmp_path)
 
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import shutil
 import signal
 import socket
+import ssl
 import stat
+import subprocess
 
 import aiohttp
 import pytest
@@ -212,6 +215,39 @@ def test_mistakes_of_the_command_line_are_one_sentence(unfilmed, tmp_path):
             pass
     with pytest.raises(UserError, match="max_bytes is 3"):
         ServeConfig(str(tmp_path), "127.0.0.1", 0, 3, 5, 5, None, None)
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl is installed")
+def test_with_a_certificate_everything_is_encrypted(unfilmed, tmp_path):
+    key = StudyKey.read(unfilmed)
+    certificate, private = tmp_path / "own.pem", tmp_path / "own.key"
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2",
+         "-subj", "/CN=study", "-addext", "subjectAltName=IP:127.0.0.1", "-keyout", private, "-out", certificate],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    trusting = ssl.create_default_context(cafile=str(certificate))
+
+    async def send(address: str) -> tuple[int, dict]:
+        async with aiohttp.ClientSession(connector=aiohttp.TCPConnector(ssl=trusting)) as session:
+            return await post(session, f"{address}/answers", json.dumps(record_of(key, 0, 1)).encode())
+
+    async def refused(address: str) -> None:
+        async with aiohttp.ClientSession() as session, session.get(address):
+            pass
+
+    with served(unfilmed, f"certificate={certificate}", f"private_key={private}") as (address, _):
+        assert address.startswith("https://")
+        assert asyncio.run(send(address)) == (200, {"stored": f"{1:032x}"})
+        with pytest.raises(aiohttp.ClientConnectorCertificateError):  # by who does not know this certificate
+            asyncio.run(refused(address))
+        with pytest.raises(aiohttp.ClientError):  # not encrypted
+            asyncio.run(refused(address.replace("https", "http")))
+    assert len(stored(unfilmed)) == 1
+    with pytest.raises(AssertionError, match=r"^error: [^\n]+own.pem[^\n]+\n$"):
+        private.write_text("no key")
+        with served(unfilmed, f"certificate={certificate}", f"private_key={private}"):
+            pass
 
 
 @pytest.mark.parametrize("text", ["-Infinity", '{"a": 1, "a": 2}', "\x00", '"\ud800'])

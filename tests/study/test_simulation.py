@@ -17,7 +17,7 @@ from hydra.utils import instantiate
 
 from grabnet.cli.entry import CONFIGS, compose
 from grabnet.errors import UserError
-from grabnet.study import power
+from grabnet.study import power, simulation
 from grabnet.study.key import CATCH
 from grabnet.study.ordinal import ModelConfig, fit
 from grabnet.study.raters import RaterModel, simulated_answers
@@ -123,6 +123,21 @@ def test_a_rehearsed_study_can_be_analysed(tmp_path):
     with (tmp_path / "out/raters.csv").open() as file:
         reasons = Counter(row["counts"] for row in csv.DictReader(file))
     assert reasons["0"] + reasons["1"] == 60 and reasons["0"] >= 14
+
+
+def test_synthetic_answers_replace_no_others(tmp_path):
+    made_key().write(tmp_path / "study")
+    (tmp_path / "study/private/secret").write_text("")
+    (tmp_path / "answers.jsonl").write_text("")
+    before = (tmp_path / "study/private/key.json").read_bytes()
+    for values in (
+        [f"output={tmp_path / 'study'}"],
+        [f"export={tmp_path / 'study'}", f"output={tmp_path / 'study/private'}"],
+        [f"export={tmp_path / 'study'}", f"output={tmp_path}"],
+    ):
+        with pytest.raises(UserError, match="holds a study or answers that no simulation wrote"):
+            simulation.run(made("simulate", *values))
+    assert (tmp_path / "study/private/key.json").read_bytes() == before
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess:
