@@ -84,7 +84,8 @@ def tiled(
     pitch = height + (round(0.2 * height) if captions else 0)
     sheet = np.full((len(lines) * pitch, len(heads) * width, 3), 255, np.uint8)
     inches = len(heads) * size, len(lines) * size * pitch / width
-    figure = Figure((inches[0] + 1.1, inches[1] + 0.5 + 0.75 * bool(scales)), layout="constrained")
+    beside = 0.3 + 0.08 * max(len(part) for line in lines for part in line.split("\n"))
+    figure = Figure((inches[0] + beside, inches[1] + 0.5 + 0.75 * bool(scales)), layout="constrained")
     parts = figure.subfigures(
         1 + bool(scales), 1, height_ratios=[inches[1] + 0.5, 0.75][: 1 + bool(scales)], squeeze=False
     )
@@ -108,6 +109,7 @@ def tiled(
         below = parts[1, 0].subplots(1, len(scales), squeeze=False)[0]
         for here, (title, kind, low, high) in zip(below, scales, strict=True):
             _scale(here, title, kind, low, high)
+            here.set_box_aspect(0.15 * len(scales) / figure.get_figwidth())
     return figure
 
 
@@ -118,4 +120,3 @@ def _scale(axes: Axes, title: str, kind: str, low: float, high: float) -> None:
     bar = axes.figure.colorbar(ScalarMappable(Normalize(low, high), cmap), cax=axes, orientation="horizontal")
     bar.set_label(title, fontsize=8)
     axes.tick_params(labelsize=8)
-    axes.set_box_aspect(0.04)

@@ -26,17 +26,15 @@ from grabnet.analysis.config import AnalyzeConfig
 from grabnet.analysis.published import agreement
 from grabnet.analysis.registry import STATISTICS
 from grabnet.analysis.report.findings import DIFFERENCE, Findings, Section
-from grabnet.analysis.report.meshes import write_heat
+from grabnet.analysis.report.meshes import write_heats
 from grabnet.analysis.report.page import write_page
 from grabnet.analysis.statistic import Analysed, Row
 from grabnet.analysis.statistics.clusters import Clusters
 from grabnet.cli.ends import say
 from grabnet.cli.progress import track
-from grabnet.errors import UserError
-from grabnet.io.files import existing, replacing, write_json
+from grabnet.io.files import replacing, write_json
 from grabnet.io.litter import clear_litter
 from grabnet.io.locks import alone_in
-from grabnet.io.npz import read_npy
 from grabnet.io.provenance import provenance
 from grabnet.visual.pictures import can_render
 
@@ -58,14 +56,19 @@ def analyze(config: AnalyzeConfig) -> list[str]:
     """
     start, failures, analysed = time.monotonic(), [], []
     names = [data.names() for data in config.data_sets]
+    for data in config.data_sets:
+        # Read once, here: workers get them, and what is wrong with them is said before hours of counting.
+        _ = data.surface, data.objects(), data.object_markers()
     with alone_in(config.root, "output"):
         clear_litter(config.root, "*.*", "figures/*.*", "numbers/*.*", "meshes/*.*")
         for data, sequences in zip(config.data_sets, names, strict=True):
             work = Accumulation(data, STATISTICS, config.rules, config.root / "counted" / data.label)
-            statistics, failed = accumulate(work, sequences, config.workers, config.max_deaths, config.dask_address)
+            statistics, failed = accumulate(
+                work, sequences, config.workers, config.max_deaths, config.dask_address, config.subset
+            )
             failures += [f"{outcome.name}: {outcome.failure}" for outcome in failed]
-            statistics[Clusters.name].markers = _markers(config.markers)
-            analysed.append(Analysed(data, config.subset, statistics))
+            statistics[Clusters.name].markers = data.object_markers()
+            analysed.append(Analysed(data, statistics))
         findings = _findings(config, analysed, failures, time.monotonic() - start)
         _write(config.root, findings)
     return failures
@@ -91,24 +94,7 @@ def _findings(config: AnalyzeConfig, analysed: Sequence[Analysed], failures: Seq
         subset=str(config.subset),
         seconds=round(seconds, 1),
     )
-    return Findings(analysed, sections, agreement(tables), heats, failures, can_render(), record)
-
-
-def _markers(folder: str | None) -> dict[str, np.ndarray]:
-    """(M, 3) metres, by object, of files `<object>.npy` in a folder."""
-    if folder is None:
-        return {}
-    found = {}
-    for path in sorted(existing(folder, "Folder of markers (markers)").glob("*.npy")):
-        array = read_npy(path)
-        if not isinstance(array, np.ndarray) or array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind != "f":
-            raise UserError(
-                f"{path} holds no markers: an array (M, 3) of floats, metres in the object's frame, is needed."
-            )
-        if not np.isfinite(array).all() or not len(array):
-            raise UserError(f"{path} holds markers that are not finite, or none: repair it, or remove it.")
-        found[path.stem] = array
-    return found
+    return Findings(analysed, config.subset, sections, agreement(tables), heats, failures, can_render(), record)
 
 
 def _write(root: Path, findings: Findings) -> None:
@@ -119,7 +105,7 @@ def _write(root: Path, findings: Findings) -> None:
             write_csv(root / "numbers" / f"{section.name}_{label}.csv", rows)
     write_csv(root / "numbers" / "agreement.csv", findings.agreement)
     for name, heat in findings.heats.items():
-        write_heat(root / "meshes" / f"{name.replace(', ', '_')}.ply", heat)
+        write_heats(root / "meshes", name, heat)
     numbers = {section.name: section.tables for section in findings.sections} | {"agreement": findings.agreement}
     write_json(root / "numbers.json", {"record": findings.record, "numbers": _finite(numbers)})
     write_page(root / "report.html", findings, root / "figures")

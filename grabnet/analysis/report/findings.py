@@ -8,7 +8,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from grabnet.analysis.statistic import Analysed, Heat, Row
+from grabnet.analysis.frames import Subset
+from grabnet.analysis.statistic import Analysed, Heats, Row
 
 # Label of a table that subtracts two.
 DIFFERENCE = "difference"
@@ -31,6 +32,7 @@ class Findings:
 
     Attributes:
         analysed: the data sets.
+        subset: what of them is shown.
         sections: of statistics.
         agreement: published numbers beside those of the first data set.
         heats: meshes to turn, by name.
@@ -40,9 +42,10 @@ class Findings:
     """
 
     analysed: Sequence[Analysed]
+    subset: Subset
     sections: Sequence[Section]
     agreement: Sequence[Row]
-    heats: Mapping[str, Heat]
+    heats: Mapping[str, Heats]
     failures: Sequence[str]
     no_pictures: str | None
     record: dict[str, Any]
