@@ -18,7 +18,7 @@ import trimesh
 from hydra.utils import instantiate
 
 from grabnet.analysis.accumulating import Accumulation, accumulate
-from grabnet.analysis.frames import Frames, Subset
+from grabnet.analysis.frames import ALL, Frames, Subset
 from grabnet.analysis.statistic import Analysed, Row, Statistic
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.cli.entry import compose
@@ -80,11 +80,12 @@ def test_a_statistic_is_a_class_and_a_pass_continues(grab, tmp_path, capsys):
     assert (Toy.calls, failures) == (len(SEQUENCES), [])
     recordings = [read_sequence(grab[0] / f"grab/{name}.npz") for name in SEQUENCES]
     untouched = {r.name: int((~r.contact.object.any(1)).sum()) for r in recordings}
-    rows = Analysed(config.data, Subset(), statistics).rows(Toy)
+    rows = Analysed(config.data, statistics).rows(Toy)
     assert rows[0] == {"intent": "all", "frames": sum(untouched.values())}
-    assert Analysed(config.data, Subset(subjects=["s2"]), statistics).rows(Toy)[0]["frames"] == sum(
-        n for name, n in untouched.items() if name.startswith("s2")
-    )
+    Toy.calls = 0
+    chosen, _ = accumulate(work, SEQUENCES, 1, 3, subset=Subset(subjects=["s2"]))
+    expected = sum(n for name, n in untouched.items() if name.startswith("s2"))
+    assert (chosen["toy"].result(ALL)[0]["frames"], Toy.calls) == (expected, 0)
     with pytest.raises(UserError, match=r"started with rules\.seed=0, now it is 1: delete"):
         accumulate(replace(work, rules=replace(config.rules, seed=1)), SEQUENCES, 1, 3)
 
@@ -131,6 +132,7 @@ def test_the_report_has_everything(grab, report):
     page = (report / "report.html").read_text()
     assert "synthetic" not in SHOWN.sub("", page)
     assert not re.search(r'(?:src|href)="(?!data:|#)', page)
+    assert len(page) < 3_000_000
     mesh = trimesh.load(report / "meshes/body_grab_all.ply", process=False)
     assert len(mesh.vertices) == 1556
     assert b"property float likelihood" in (report / "meshes/body_grab_all.ply").read_bytes()[:600]
@@ -269,6 +271,18 @@ def test_a_browser_shows_the_page_and_turns_the_meshes(report, tmp_path):
         browser.evaluate("document.getElementById('mesh').onchange()")
         second = browser.evaluate(inked)
         assert min(first, second) > 2000 and first != second
+        browser.evaluate("document.getElementById('mesh').value = 'ball'")
+        browser.evaluate("document.getElementById('mesh').onchange()")
+        names = browser.evaluate("[...document.getElementById('heat').options].map(o => o.value)")
+        assert names[:2] == ["grab, all", "grab, use"] and names[-1].startswith("grab, use − ")
+        pixels = "(() => { const d = document.createElement('canvas'), c = document.getElementById('view'); "
+        pixels += "d.width = c.width; d.height = c.height; const x = d.getContext('2d'); x.drawImage(c, 0, 0); "
+        pixels += "return d.toDataURL(); })()"
+        likelihood = browser.evaluate(pixels)
+        browser.evaluate("document.getElementById('heat').selectedIndex = document.getElementById('heat').length - 1")
+        browser.evaluate("document.getElementById('heat').onchange()")
+        assert browser.evaluate(pixels) != likelihood
+        assert browser.evaluate("document.getElementById('high').textContent").endswith("percentage points")
         assert browser.evaluate("[...document.images].every(image => image.complete && image.naturalWidth > 200)")
         assert browser.log["exceptions"] == [] and browser.log["console"] == []
         assert all(url.startswith(("file:", "data:", "about:")) for url in browser.log["requests"])

@@ -22,7 +22,7 @@ from grabnet.geometry.mesh import Mesh
 from grabnet.visual.pictures import OBJECT, SKIN, Shape, can_render, render
 
 _TILE = (130, 130)
-# Metres, of the hand's vertices in the root mean square: grasps no further apart are not put into clusters of their own.
+# Metres, root mean square over the hand's vertices: grasps no further apart get no clusters of their own.
 _ALIKE = 0.001
 _STORED = np.float16  # within 0.5 m off by 0.12 mm at most
 # Every so many of the hand's vertices describe it; all of them cluster the same, and slower.
