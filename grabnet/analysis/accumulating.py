@@ -21,7 +21,7 @@ from grabnet.analysis.frames import ALL, Group, Subset
 from grabnet.analysis.rules import Rules
 from grabnet.analysis.statistic import Statistic
 from grabnet.cli.progress import steps
-from grabnet.errors import UserError
+from grabnet.errors import UserError, printable
 from grabnet.io.files import sha256, write_bytes
 from grabnet.io.litter import clear_litter
 from grabnet.io.npz import read_npz
@@ -111,12 +111,16 @@ def accumulate(
         for outcome in _outcomes(work, left, workers, max_deaths, dask_address):
             counted.advance(about=outcome.name)
             if outcome.failure:
-                print(f"{outcome.name} failed: {outcome.failure}")
+                print(f"{printable(outcome.name)} failed: {outcome.failure}")
                 failures[outcome.name] = outcome
-    statistics = {kind.name: kind(work.rules) for kind in work.statistics}
+    statistics, groups = {kind.name: kind(work.rules) for kind in work.statistics}, set()
     for name in names:
         if name not in failures:
-            _merge(work, part_path(work.folder, name), statistics, subset)
+            groups.add(_merge(work, part_path(work.folder, name), statistics, subset))
+    if groups and not any(group in subset for group in groups):
+        there = [sorted({getattr(group, by) for group in groups}) for by in Group._fields]
+        said = "; ".join(f"{by}s {', '.join(names[:12])}" for by, names in zip(Group._fields, there, strict=True))
+        print(printable(f"{work.data.label} has no sequence of {subset}. It has {said}."))
     return statistics, [failures[name] for name in sorted(failures)]
 
 
@@ -154,13 +158,13 @@ def _about(arrays: dict[str, Any], path: Path) -> dict[str, Any]:
         raise UserError(f"{path} is no part of an analysis.") from None
 
 
-def _merge(work: Accumulation, path: Path, statistics: dict[str, Statistic], subset: Subset) -> None:
+def _merge(work: Accumulation, path: Path, statistics: dict[str, Statistic], subset: Subset) -> Group:
+    """Add a part, where its group is of the subset; the group."""
     arrays = read_npz(path)
     group = Group(*_about(arrays, path)["group"])
-    if group not in subset:
-        return
-    for name, statistic in statistics.items():
+    for name, statistic in statistics.items() if group in subset else ():
         one, merged = type(statistic)(work.rules), group.merged(statistic.by)
         start = f"{name}/"
         one.sums = {(merged, key.removeprefix(start)): v for key, v in arrays.items() if key.startswith(start)}
         statistic.merge(one)
+    return group

@@ -117,8 +117,8 @@ class Recordings(GrabRecordings, DataSet):
         height, n = sequence.object.transl[:, 2], sequence.contact.body.shape[1]
         if n != len(self.surface.parts):
             raise UserError(
-                f"grab/{name}.npz labels {n} vertices of a body, those before it {len(self.surface.parts)}: recordings "
-                "of one data set must be of one kind of body."
+                f"grab/{name}.npz labels {n} vertices of a body, the subjects' meshes have {len(self.surface.parts)}: "
+                "recordings of one data set must be of one kind of body."
             )
         frames = Frames(
             name=name,

@@ -82,7 +82,6 @@ def tiled(
     """
     height, width = next(tile for line in tiles for tile in line if tile is not None).shape[:2]
     pitch = height + (round(0.2 * height) if captions else 0)
-    sheet = np.full((len(lines) * pitch, len(heads) * width, 3), 255, np.uint8)
     inches = len(heads) * size, len(lines) * size * pitch / width
     beside = 0.3 + 0.08 * max(len(part) for line in lines for part in line.split("\n"))
     figure = Figure((inches[0] + beside, inches[1] + 0.5 + 0.75 * bool(scales)), layout="constrained")
@@ -91,14 +90,15 @@ def tiled(
     )
     axes = parts[0, 0].subplots()
     for row, column in np.ndindex(len(lines), len(heads)):
-        tile, centre = tiles[row][column], (column + 0.5) * width
-        if tile is not None:
-            sheet[row * pitch : row * pitch + height, column * width : (column + 1) * width] = tile
+        tile, left, top = tiles[row][column], column * width, row * pitch
+        centre = left + width / 2
+        if tile is not None:  # each by itself: of one large picture Matplotlib makes many copies
+            axes.imshow(tile, extent=(left, left + width, top + height, top))
         elif not captions:
-            axes.text(centre, row * pitch + height / 2, "none", ha="center", va="center", color="#98a2ad", fontsize=8)
+            axes.text(centre, top + height / 2, "none", ha="center", va="center", color="#98a2ad", fontsize=8)
         if captions:
-            axes.text(centre, row * pitch + height, captions[row][column], ha="center", va="top", fontsize=7)
-    axes.imshow(sheet, aspect="equal")
+            axes.text(centre, top + height, captions[row][column], ha="center", va="top", fontsize=7)
+    axes.set(xlim=(0, len(heads) * width), ylim=(len(lines) * pitch, 0), aspect="equal")
     axes.set_xticks((np.arange(len(heads)) + 0.5) * width, heads)
     axes.set_yticks(np.arange(len(lines)) * pitch + height / 2, lines)
     axes.xaxis.tick_top()

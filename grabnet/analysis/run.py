@@ -32,11 +32,15 @@ from grabnet.analysis.statistic import Analysed, Row
 from grabnet.analysis.statistics.clusters import Clusters
 from grabnet.cli.ends import say
 from grabnet.cli.progress import track
-from grabnet.io.files import replacing, write_json
-from grabnet.io.litter import clear_litter
+from grabnet.io.files import filling, replacing, write_json
 from grabnet.io.locks import alone_in
 from grabnet.io.provenance import provenance
 from grabnet.visual.pictures import can_render
+
+# The report last: where it lies, all others are those that it shows.
+RESULTS = (
+    "figures/*.png", "figures/*.pdf", "numbers/*.csv", "meshes/*.ply", "numbers.json", "report.html",
+)  # fmt: skip
 
 
 def run(config: AnalyzeConfig) -> int:
@@ -59,8 +63,7 @@ def analyze(config: AnalyzeConfig) -> list[str]:
     for data in config.data_sets:
         # Read once, here: workers get them, and what is wrong with them is said before hours of counting.
         _ = data.surface, data.objects(), data.object_markers()
-    with alone_in(config.root, "output"):
-        clear_litter(config.root, "*.*", "figures/*.*", "numbers/*.*", "meshes/*.*")
+    with alone_in(config.root, "output"), filling(config.root, RESULTS, _is_ours) as folder:
         for data, sequences in zip(config.data_sets, names, strict=True):
             work = Accumulation(data, STATISTICS, config.rules, config.root / "counted" / data.label)
             statistics, failed = accumulate(
@@ -69,19 +72,29 @@ def analyze(config: AnalyzeConfig) -> list[str]:
             failures += [f"{outcome.name}: {outcome.failure}" for outcome in failed]
             statistics[Clusters.name].markers = data.object_markers()
             analysed.append(Analysed(data, statistics))
-        findings = _findings(config, analysed, failures, time.monotonic() - start)
-        _write(config.root, findings)
+        findings = _findings(config, folder, analysed, failures, time.monotonic() - start)
+        _write(folder, findings)
     return failures
 
 
-def _findings(config: AnalyzeConfig, analysed: Sequence[Analysed], failures: Sequence[str], seconds: float) -> Findings:
-    """Tables, figures and meshes of all statistics."""
+def _is_ours(folder: Path) -> bool:
+    return any(folder.glob("counted/*/recipe.json"))
+
+
+def _findings(
+    config: AnalyzeConfig, folder: Path, analysed: Sequence[Analysed], failures: Sequence[str], seconds: float
+) -> Findings:
+    """Tables and meshes of all statistics; their figures are written to a folder at once, for the sake of memory."""
     sections, heats = [], {}
     for kind in track(STATISTICS, "Drawing figures"):
         tables = {each.label: each.rows(kind) for each in analysed}
         figure = kind.draw(analysed) if any(tables.values()) else None
-        heats |= kind.heats(analysed) if config.scenes else {}
-        sections.append(Section(kind.name, kind.title, kind.about, tables, figure))
+        if figure is not None:
+            save_figure(folder / "figures", kind.name, figure)
+        if config.scenes:
+            for name, mesh in kind.heats(analysed).items():
+                heats[name if name not in heats else f"{name} ({kind.title})"] = mesh  # an object may be called "head"
+        sections.append(Section(kind.name, kind.title, kind.about, tables, figure is not None))
     if len(analysed) > 1:
         first, second = analysed
         for section in sections:
@@ -99,8 +112,6 @@ def _findings(config: AnalyzeConfig, analysed: Sequence[Analysed], failures: Seq
 
 def _write(root: Path, findings: Findings) -> None:
     for section in findings.sections:
-        if section.figure is not None:
-            save_figure(root / "figures", section.name, section.figure)
         for label, rows in section.tables.items():
             write_csv(root / "numbers" / f"{section.name}_{label}.csv", rows)
     write_csv(root / "numbers" / "agreement.csv", findings.agreement)

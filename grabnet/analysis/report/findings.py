@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from matplotlib.figure import Figure
-
 from grabnet.analysis.frames import Subset
 from grabnet.analysis.statistic import Analysed, Heats, Row
 
@@ -17,13 +15,13 @@ DIFFERENCE = "difference"
 
 @dataclass(frozen=True)
 class Section:
-    """A statistic: its tables by data set, then their difference, and its figure where there is something to draw."""
+    """A statistic: its tables by data set, then their difference; whether there was something to draw."""
 
     name: str
     title: str
     about: str
     tables: dict[str, list[Row]]
-    figure: Figure | None
+    is_drawn: bool
 
 
 @dataclass(frozen=True)

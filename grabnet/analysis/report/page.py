@@ -21,7 +21,7 @@ from grabnet.analysis.plots import difference_colours, heat_colours
 from grabnet.analysis.report.findings import Findings, Section
 from grabnet.analysis.report.meshes import colourings, heats_glb
 from grabnet.analysis.statistic import Row
-from grabnet.evaluation.reporting.tables import digits
+from grabnet.cli.numbers import digits
 from grabnet.io.files import replacing
 
 _TEMPLATE = Path(__file__).with_name("page.html")
@@ -84,7 +84,7 @@ def _section(section: Section, figures: Path, no_pictures: str | None) -> str:
     parts = [_note(section.about)]
     if not any(section.tables.values()):
         return f"{parts[0]}<p>There are no such frames in what was chosen.</p>"
-    if section.figure is not None:
+    if section.is_drawn:
         parts.append(_image(figures / f"{section.name}.png", section.title))
     else:
         parts.append(f"<p>{escape(no_pictures or 'Nothing was touched in what was chosen, so nothing is drawn.')}</p>")

@@ -82,6 +82,8 @@ class SizeEffect(_BySize, ContactShares):
             rows = each.rows(cls)
             for subjects in dict.fromkeys(row["subjects"] for row in rows):
                 lines.append((each.label, subjects, [row for row in rows if row["subjects"] == subjects]))
+        if not lines:
+            return None
         figure, axes = panels(len(lines), len(SHAPES), 2.2, 2.1)
         for line, (label, subjects, rows) in zip(axes, lines, strict=True):
             for here, shape in zip(line, SHAPES, strict=True):
