@@ -41,7 +41,7 @@ def bars(axes: Axes, names: Sequence[str], series: Mapping[str, Sequence[float]]
         drawn = axes.bar(places, np.nan_to_num(values), 0.92 * width, color=COLOURS[k % len(COLOURS)], label=label)
         if len(names) * len(series) <= 40:
             axes.bar_label(drawn, ["" if np.isnan(v) else f"{v:,.0f}" for v in values], fontsize=7, padding=1)
-    axes.set_xticks(range(len(names)), names, rotation=0 if len(names) < 8 else 60, ha="center", fontsize=8)
+    axes.set_xticks(range(len(names)), names, rotation=0 if len(names) < 12 else 90, ha="center", fontsize=8)
     axes.set_ylabel(unit)
 
 

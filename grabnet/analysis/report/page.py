@@ -25,6 +25,11 @@ from grabnet.cli.numbers import digits
 from grabnet.io.files import replacing
 
 _TEMPLATE = Path(__file__).with_name("page.html")
+# Turn about the vertical and tilt, radians, of the views of meshes.
+_SIDES = {
+    "aslant": "0.5 0.2", "the front": "0 0", "the back": "3.1416 0", "its left": "1.5708 0", "its right": "-1.5708 0",
+    "above": "0 1.5708", "below": "0 -1.5708",
+}  # fmt: skip
 # Of the bars below the meshes, from end to end.
 _STOPS = np.linspace(0, 1, 17)
 _WEBP_MOST = 16_383  # pixels of a side
@@ -61,7 +66,8 @@ def write_page(path: Path, findings: Findings, figures: Path) -> None:
 
 def _subtitle(findings: Findings) -> str:
     labels = " and ".join(each.label for each in findings.analysed)
-    return f"{labels}; shown: {findings.subset}; made {findings.record['made'][:10]}"
+    about = f"{labels}; shown: {findings.subset}; made {findings.record['made'][:10]}"
+    return f"{about}; a click on a figure shows it in full size"
 
 
 def _agreement(findings: Findings) -> str:
@@ -99,8 +105,10 @@ def _viewer(findings: Findings) -> str:
     if not findings.heats:
         return "<p>There are no meshes coloured by contact: nothing was touched, or scenes=false.</p>"
     options = "".join(f"<option>{escape(name)}</option>" for name in findings.heats)
+    sides = "".join(f'<option value="{turn}">{escape(name)}</option>' for name, turn in _SIDES.items())
     return (
         f"<p><label>Mesh <select id=mesh>{options}</select></label> <label>Shown <select id=heat></select></label> "
+        f"<label>From <select id=side>{sides}</select></label> "
         "<span class=note>drag to turn, wheel to zoom</span></p><canvas id=view></canvas>"
         "<div class=scale><span id=low></span><i id=bar></i><span id=high></span></div>"
     )
@@ -157,4 +165,5 @@ def _image(path: Path, alt: str) -> str:
             picture.convert("RGB").save(buffer, "WEBP", quality=88)
             kind, data = "webp", buffer.getvalue()
     data = base64.b64encode(data).decode()
-    return f'<img class=plot alt="{escape(alt, quote=True)}" src="data:image/{kind};base64,{data}">'
+    image = f'<img class=plot alt="{escape(alt, quote=True)}" src="data:image/{kind};base64,{data}">'
+    return f"<div class=figure>{image}</div>"

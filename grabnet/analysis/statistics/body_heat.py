@@ -75,7 +75,14 @@ class BodyHeat(Statistic):
             )
             for a, b in compared(seen, lambda one: (one.label, one.intent))
         }  # fmt: skip
-        most = max((float(np.abs(c).max()) for _, views in changes.values() for c in views.values()), default=0.0)
+        most = max(
+            (
+                float(np.abs(change[on_view(surface, name)]).max())
+                for surface, views in changes.values()
+                for name, change in views.items()
+            ),
+            default=0.0,
+        )
         if most:
             for title, (surface, change) in changes.items():
                 lines.append(title)

@@ -76,7 +76,8 @@ class Penetration(Statistic):
             intents = dict(statistic.by_intent(ALL))
             shown = "use" if "use" in intents else "all"  # the paper shows "use"
             chosen = intents.get(shown, ALL)
-            for surface in statistic.surfaces(chosen):
+            inside = [name for name in statistic.surfaces(chosen) if statistic.bins(name, chosen).any()]
+            for surface in inside or ["hands"]:
                 lines.append((f"{each.label}, {shown}, {surface}", statistic.bins(surface, chosen)))
         figure, axes = panels(len(lines), 2, 5.2, 2.8)
         for line, (title, bins) in zip(axes, lines, strict=True):
@@ -89,7 +90,8 @@ def _draw(axes: Sequence[Axes], title: str, bins: np.ndarray) -> None:
     """Cumulative curve with the published thresholds beside, and histogram, of (3, 500) counted frames."""
     n = max(bins.sum(1).max(), 1)
     upper = 1000 * _BIN * np.arange(_BINS + 1)
-    deepest = max(7.0, upper[min(_BINS, int(np.searchsorted(np.cumsum(bins[0]), 0.99 * n)) + 5)])
+    last = int(np.searchsorted(np.cumsum(bins[0]), 0.99 * n)) + 5 if bins.any() else 0
+    deepest = max(7.0, upper[min(_BINS, last)])
     for k, kind in enumerate(_KINDS):
         colour = (COLOURS[1], COLOURS[2], COLOURS[0])[k]
         axes[0].plot(upper, 100 * np.cumsum([0, *bins[k]]) / n, color=colour, label=kind)
