@@ -21,7 +21,7 @@ _BATCH = 64
 
 
 class Group(NamedTuple):
-    """What a sequence is counted under."""
+    """What a sequence is counted under; empty what is not known of it, or not told apart."""
 
     intent: str
     subject: str
@@ -34,7 +34,7 @@ class Group(NamedTuple):
 
 @dataclass(frozen=True)
 class Subset:
-    """Groups chosen by name; None chooses all."""
+    """Groups chosen by name; None chooses all. What is not known of a group does not leave it out."""
 
     intents: Collection[str] | None = None
     subjects: Collection[str] | None = None
@@ -42,7 +42,7 @@ class Subset:
 
     def __contains__(self, group: Group) -> bool:
         chosen = (self.intents, self.subjects, self.objects)
-        return all(names is None or name in names for names, name in zip(chosen, group, strict=True))
+        return all(names is None or not name or name in names for names, name in zip(chosen, group, strict=True))
 
     def __str__(self) -> str:
         """Words, as in "intents use; objects mug, cup"."""

@@ -26,8 +26,6 @@ from grabnet.evaluation.generated import read_grasps
 from grabnet.geometry.mesh import load_mesh
 from grabnet.io.files import existing, sha256
 
-GENERATED = "generated"  # stands for intent and subject
-
 
 @dataclass(frozen=True)
 class GeneratedGrasps(DataSet):
@@ -98,7 +96,7 @@ class GeneratedGrasps(DataSet):
         maps, vertices = annotate(found.vertices), torch.as_tensor(found.vertices)
         frames = Frames(
             name=name,
-            group=Group(GENERATED, GENERATED, name),
+            group=Group("", "", name),
             object=maps.object,
             body=maps.hand,
             lift=np.full(len(found), np.inf),

@@ -95,8 +95,9 @@ class Statistic(ABC):
 
     def by_intent(self, subset: Subset) -> Iterator[tuple[str, Subset]]:
         """The subset's part of each intent that was counted, after "all"."""
-        there = {group.intent for group in self.groups(subset)}
-        if there:
+        groups = self.groups(subset)
+        there = {group.intent for group in groups if group.intent}
+        if groups:
             yield "all", subset
         for intent in sorted(there, key=lambda name: (INTENTS.index(name) if name in INTENTS else 9, name)):
             yield intent, Subset([intent], subset.subjects, subset.objects)

@@ -38,6 +38,12 @@ def on_view(surface: Surface, view: str) -> np.ndarray:
     return np.isin(surface.parts, VIEWS[view].parts)
 
 
+def shows(surface: Surface, view: str) -> bool:
+    """Whether a surface has what a view shows; a hand alone is no body."""
+    is_hand = np.isin(surface.parts, RIGHT_HAND_PARTS).all()
+    return bool(on_view(surface, view).any()) and not (is_hand and VIEWS[view].of == "frames")
+
+
 def cut(surface: Surface, view: str, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Vertices and faces of the parts that a view shows, and the values (V, …) of these vertices."""
     faces = surface.faces[on_view(surface, view)[surface.faces].all(1)]

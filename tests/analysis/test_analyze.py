@@ -227,7 +227,7 @@ def test_generated_grasps_are_a_data_set(grab, report, tmp_path, monkeypatch):
     numbers = json.loads((tmp_path / "out/numbers.json").read_text())["numbers"]
     (content,) = [row for row in numbers["content"]["grasps"] if row["by"] == "all"]
     assert content == {"by": "all", "name": "all", "sequences": 1, "frames": 3, "contact frames": 2}
-    (shares, _) = numbers["shares"]["grasps"]
+    (shares,) = numbers["shares"]["grasps"]
     assert (shares["right hand [%]"], shares["thumb [%]"], shares["index [%]"]) == (100, 100, 100)
     assert (shares["left hand [%]"], shares["palm [%]"]) == (0, 0)
     depths = radius - np.linalg.norm(vertices, axis=1)

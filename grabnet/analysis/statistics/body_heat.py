@@ -13,7 +13,7 @@ from grabnet.analysis.data_set import Surface
 from grabnet.analysis.frames import ALL, WHO, Frames, Subset
 from grabnet.analysis.plots import difference_colours, heat_colours, tiled
 from grabnet.analysis.statistic import Analysed, Heats, Row, Statistic
-from grabnet.analysis.views import VIEWS, cut, on_view, tile
+from grabnet.analysis.views import VIEWS, cut, on_view, shows, tile
 from grabnet.visual.pictures import can_render
 
 # What to turn in 3-D, and the view that says which parts and frames it is of.
@@ -132,7 +132,7 @@ def _seen(analysed: Sequence[Analysed], statistic: str) -> list[_Seen]:
         heat = each.statistics[statistic]
         for intent, chosen in heat.by_intent(ALL):
             surface = each.data.surface
-            there = {name: heat.share(chosen, view.of) for name, view in VIEWS.items() if on_view(surface, name).any()}
+            there = {name: heat.share(chosen, view.of) for name, view in VIEWS.items() if shows(surface, name)}
             found.append(_Seen(each.label, intent, surface, {n: s for n, s in there.items() if s is not None}))
     return found
 

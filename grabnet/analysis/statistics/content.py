@@ -29,7 +29,7 @@ class Content(Statistic):
         if groups:
             rows.append(self._row("all", "all", subset))
         for by, field in (("intent", "intents"), ("subject", "subjects"), ("object", "objects")):
-            for name in sorted({getattr(group, by) for group in groups}, key=_in_order):
+            for name in sorted({getattr(group, by) for group in groups} - {""}, key=_in_order):
                 rows.append(self._row(by, name, Subset(**(vars(subset) | {field: [name]}))))
         return rows
 

@@ -11,7 +11,7 @@ from grabnet.analysis.frames import ALL, Frames, Subset
 from grabnet.analysis.plots import heat_colours, tiled
 from grabnet.analysis.rules import Rules
 from grabnet.analysis.statistic import Analysed, Row, Statistic
-from grabnet.analysis.views import on_view, tile
+from grabnet.analysis.views import on_view, shows, tile
 from grabnet.body.skeleton import MIRRORED_PART, N_PARTS, RIGHT_FINGER_PARTS
 from grabnet.visual.pictures import can_render
 
@@ -95,7 +95,9 @@ class ThresholdHeat(Statistic):
         for each in analysed:
             surface, shares = each.data.surface, found[each.label]
             for view in _SHOWN:
-                if any(share is not None and share[on_view(surface, view)].any() for share in shares):
+                if shows(surface, view) and any(
+                    share is not None and share[on_view(surface, view)].any() for share in shares
+                ):
                     tiles.append([None if s is None else tile(surface, view, heat_colours(s, highest)) for s in shares])
                     lines.append(f"{each.label}\n{view}")
         heads = [f"H = {1000 * lift:g} mm\nC = {least}" for lift, least in setups(rules)]
