@@ -17,11 +17,11 @@ import numpy as np
 import torch
 
 from grabnet.analysis.data_set import DataSet
-from grabnet.analysis.frames import Group
+from grabnet.analysis.frames import ALL, Group, Subset
 from grabnet.analysis.rules import Rules
 from grabnet.analysis.statistic import Statistic
 from grabnet.cli.progress import steps
-from grabnet.errors import UserError
+from grabnet.errors import UserError, printable
 from grabnet.io.files import sha256, write_bytes
 from grabnet.io.litter import clear_litter
 from grabnet.io.npz import read_npz
@@ -31,7 +31,7 @@ from grabnet.preprocess.backends import Outcome, by_dask, by_joblib
 from grabnet.preprocess.sequence_work import outcome_of
 
 # Raise it when the same sequence and rules would give other numbers.
-FORMAT = 1
+FORMAT = 2
 _ABOUT = {"group": [str], "inputs": {str: str}}
 
 
@@ -77,9 +77,14 @@ def part_path(folder: Path, name: str) -> Path:
 
 
 def accumulate(
-    work: Accumulation, names: Collection[str], workers: int, max_deaths: int, dask_address: str | None = None
+    work: Accumulation,
+    names: Collection[str],
+    workers: int,
+    max_deaths: int,
+    dask_address: str | None = None,
+    subset: Subset = ALL,
 ) -> tuple[dict[str, Statistic], list[Outcome]]:
-    """Count what is not counted yet, and add up all of it.
+    """Count what is not counted yet, and add up a subset of it.
 
     Args:
         work: what to do with each sequence.
@@ -87,6 +92,7 @@ def accumulate(
         workers: processes of this machine.
         max_deaths: of workers over one sequence until it counts as failed.
         dask_address: of a cluster that works instead.
+        subset: to add up.
 
     Returns:
         the statistics by name, and why sequences could not be counted.
@@ -105,12 +111,16 @@ def accumulate(
         for outcome in _outcomes(work, left, workers, max_deaths, dask_address):
             counted.advance(about=outcome.name)
             if outcome.failure:
-                print(f"{outcome.name} failed: {outcome.failure}")
+                print(f"{printable(outcome.name)} failed: {outcome.failure}")
                 failures[outcome.name] = outcome
-    statistics = {kind.name: kind(work.rules) for kind in work.statistics}
+    statistics, groups = {kind.name: kind(work.rules) for kind in work.statistics}, set()
     for name in names:
         if name not in failures:
-            _merge(work, part_path(work.folder, name), statistics)
+            groups.add(_merge(work, part_path(work.folder, name), statistics, subset))
+    if groups and not any(group in subset for group in groups):
+        there = [sorted({getattr(group, by) for group in groups}) for by in Group._fields]
+        said = "; ".join(f"{by}s {', '.join(names[:12])}" for by, names in zip(Group._fields, there, strict=True))
+        print(printable(f"{work.data.label} has no sequence of {subset}. It has {said}."))
     return statistics, [failures[name] for name in sorted(failures)]
 
 
@@ -129,7 +139,11 @@ def _is_done(work: Accumulation, name: str) -> bool:
     path = part_path(work.folder, name)
     if not path.exists():
         return False
-    inputs = _about(read_npz(path), path)["inputs"]
+    try:
+        inputs = _about(read_npz(path), path)["inputs"]
+    except UserError:
+        print(f"{name} is counted again: {path} is damaged.")
+        return False
     folder = work.data.folder
     changed = [file for file in inputs if not (folder / file).exists() or sha256(folder / file) != inputs[file]]
     if changed:
@@ -141,13 +155,16 @@ def _about(arrays: dict[str, Any], path: Path) -> dict[str, Any]:
     try:
         return parsed_json(str(arrays["about"]).encode(), _ABOUT)
     except (KeyError, ValueError):
-        raise UserError(f"{path} is no part of an analysis: delete it.") from None
+        raise UserError(f"{path} is no part of an analysis.") from None
 
 
-def _merge(work: Accumulation, path: Path, statistics: dict[str, Statistic]) -> None:
+def _merge(work: Accumulation, path: Path, statistics: dict[str, Statistic], subset: Subset) -> Group:
+    """Add a part, where its group is of the subset; the group."""
     arrays = read_npz(path)
     group = Group(*_about(arrays, path)["group"])
-    for name, statistic in statistics.items():
-        one = type(statistic)(work.rules)
-        one.sums = {(group, key.removeprefix(f"{name}/")): v for key, v in arrays.items() if key.startswith(f"{name}/")}
+    for name, statistic in statistics.items() if group in subset else ():
+        one, merged = type(statistic)(work.rules), group.merged(statistic.by)
+        start = f"{name}/"
+        one.sums = {(merged, key.removeprefix(start)): v for key, v in arrays.items() if key.startswith(start)}
         statistic.merge(one)
+    return group

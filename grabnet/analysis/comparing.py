@@ -28,6 +28,11 @@ def compared(items: Sequence[Item], named: Callable[[Item], tuple[str, str]]) ->
     return pairs + [(alls[0], other) for other in alls[1:]]
 
 
+def minus(one: tuple[str, str], other: tuple[str, str]) -> str:
+    """Words for a pair, each of a data set and an intent: "grab, use − pass"."""
+    return f"{one[0]}, {one[1]} − {other[1]}" if one[0] == other[0] else f"{one[0]} − {other[0]}, {one[1]}"
+
+
 def difference(rows: Sequence[Row], others: Sequence[Row]) -> list[Row]:
     """Lines of two tables that agree in their texts: the numbers of `rows` less those of `others`."""
     there = {_key(row): row for row in others}

@@ -29,7 +29,6 @@ class AnalyzeConfig:
     intents: Sequence[str] | None
     subjects: Sequence[str] | None
     objects: Sequence[str] | None
-    markers: Name | None
     scenes: bool
     contact_distance: Distance
     workers: Concurrent

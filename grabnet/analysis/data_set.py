@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
@@ -13,18 +13,19 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from grabnet.analysis.frames import Frames, Group, PosedHand
+from grabnet.analysis.frames import SURFACES, Frames, Group, Posed, Solid
+from grabnet.analysis.markers import read_markers
 from grabnet.body.hand import HandModel
 from grabnet.body.skeleton import RIGHT_HAND_JOINTS
 from grabnet.body.whole import BodyModel
 from grabnet.cli.checks import Name
 from grabnet.contact.annotator import vertex_parts
+from grabnet.contact.sequences import posed
 from grabnet.data.intents import intent_of
 from grabnet.data.names import is_plain
-from grabnet.data.sequences import load_below
+from grabnet.data.sequences import Sequence, load_below
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh, load_mesh
-from grabnet.geometry.queries import MeshQuery
 from grabnet.preprocess.grasp_track import GraspTrack, mirrored
 from grabnet.preprocess.recordings import GrabRecordings
 
@@ -83,6 +84,10 @@ class DataSet(ABC):
     def hand(self) -> HandModel:
         """The right hand's model."""
 
+    def object_markers(self) -> Mapping[str, np.ndarray]:
+        """(M, 3) metres in the object's frame, of each object whose markers are known."""
+        return {}
+
     def object_mesh(self, name: str) -> Mesh:
         """The mesh of an object, its vertices numbered as in `Frames.object`."""
         return load_mesh(self.objects()[name], weld=False)
@@ -95,10 +100,12 @@ class Recordings(GrabRecordings, DataSet):
     Args:
         label: names the data set in the report.
         is_synthetic: whether nobody was recorded.
+        markers: where markers were on the objects, as `grabnet.analysis.markers` reads it; None: unknown.
     """
 
     label: Name = "recordings"
     is_synthetic: bool = False
+    markers: Name | None = None
 
     def __post_init__(self):
         super().__post_init__()
@@ -107,15 +114,24 @@ class Recordings(GrabRecordings, DataSet):
     def frames(self, name: str) -> tuple[Frames, dict[str, str]]:
         recording = self.read(name)
         sequence = recording.sequence
-        height = sequence.object.transl[:, 2]
+        height, n = sequence.object.transl[:, 2], sequence.contact.body.shape[1]
+        if n != len(self.surface.parts):
+            raise UserError(
+                f"grab/{name}.npz labels {n} vertices of a body, the subjects' meshes have {len(self.surface.parts)}: "
+                "recordings of one data set must be of one kind of body."
+            )
         frames = Frames(
             name=name,
             group=Group(intent_of(sequence.motion_intent), sequence.sbj_id, sequence.obj_name),
             object=sequence.contact.object,
             body=sequence.contact.body,
             lift=height - height[0],
-            hands=[self._posed(recording.right), self._posed(recording.left_mirrored())],
-            solid=lambda: _query(self.objects()[sequence.obj_name]),
+            surfaces={
+                "hands": [self._posed_hand(recording.right), self._posed_hand(recording.left_mirrored())],
+                "head": [self._posed_body(sequence, SURFACES["head"])],
+                "body": [self._posed_body(sequence, SURFACES["body"])],
+            },
+            solid=lambda: _solid(self.objects()[sequence.obj_name]),
             hand_length=float(np.ptp(self.rest(sequence.rhand.vtemp).numpy(), 0).max()),
         )
         return frames, recording.inputs
@@ -136,18 +152,33 @@ class Recordings(GrabRecordings, DataSet):
         right = cKDTree(model.v_template.numpy()).query((hand.v_template + shift).numpy())[1]
         return Surface(vertices.numpy(), model.faces.numpy(), vertex_parts(model.weights.numpy()), right)
 
-    def _posed(self, track: GraspTrack) -> PosedHand:
+    def object_markers(self) -> Mapping[str, np.ndarray]:
+        return {} if self.markers is None else read_markers(self.markers, self.objects())
+
+    def _posed_body(self, sequence: Sequence, parts: Collection[int]) -> Posed:
+        """Those vertices of the whole body that belong to some parts."""
+        own = torch.tensor(np.isin(self.surface.parts, list(parts)))
+
+        @torch.no_grad()
+        def pose(frames: np.ndarray) -> torch.Tensor:
+            template = torch.tensor(load_below(self.folder, sequence.body.vtemp, mend=False).vertices)
+            vertices = posed(sequence, _body(self.body_file(sequence.gender)), template, frames)[:, own]
+            return sequence.object.to_local(vertices, frames)
+
+        return pose
+
+    def _posed_hand(self, track: GraspTrack) -> Posed:
         template = track.hand.vtemp
 
         @torch.no_grad()
-        def posed(frames: np.ndarray) -> torch.Tensor:
+        def pose(frames: np.ndarray) -> torch.Tensor:
             rest = self.rest(template)
             rest = mirrored(rest) if track.is_mirrored else rest
             vertices = _hand(self._hand_file)(track.hand.parameters(frames), rest).vertices
             here = track.object.to_local(vertices, frames)
             return mirrored(here) if track.is_mirrored else here
 
-        return posed
+        return pose
 
 
 def check_label(label: str) -> None:
@@ -161,6 +192,11 @@ def _hand(path: Path) -> HandModel:
     return HandModel(path)
 
 
+@lru_cache(maxsize=2)
+def _body(path: Path) -> BodyModel:
+    return BodyModel(path)
+
+
 @lru_cache(maxsize=8)
-def _query(path: Path) -> MeshQuery:
-    return MeshQuery(load_mesh(path, weld=False))
+def _solid(path: Path) -> Solid:
+    return Solid(load_mesh(path, weld=False))

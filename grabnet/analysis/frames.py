@@ -2,33 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from torch import Tensor
 
-from grabnet.body.skeleton import HEAD_PARTS, LEFT_HAND_PARTS, RIGHT_FINGER_PARTS, RIGHT_HAND_PARTS
+from grabnet.body.skeleton import HEAD_PARTS, LEFT_HAND_PARTS, PARTS, RIGHT_FINGER_PARTS, RIGHT_HAND_PARTS
+from grabnet.geometry.mesh import Mesh
 from grabnet.geometry.queries import MeshQuery
 from grabnet.preprocess.filtering import part_counts
 
-# Hands posed at once.
-_BATCH = 256
+# Frames posed at once.
+_BATCH = 64
 
 
 class Group(NamedTuple):
-    """What a sequence is counted under."""
+    """What a sequence is counted under; empty what is not known of it, or not told apart."""
 
     intent: str
     subject: str
     object: str
 
+    def merged(self, by: Collection[str]) -> Group:
+        """The group with what is not told apart left empty."""
+        return Group(*(value if field in by else "" for field, value in self._asdict().items()))
+
 
 @dataclass(frozen=True)
 class Subset:
-    """Groups chosen by name; None chooses all."""
+    """Groups chosen by name; None chooses all. What is not known of a group does not leave it out."""
 
     intents: Collection[str] | None = None
     subjects: Collection[str] | None = None
@@ -36,7 +42,7 @@ class Subset:
 
     def __contains__(self, group: Group) -> bool:
         chosen = (self.intents, self.subjects, self.objects)
-        return all(names is None or name in names for names, name in zip(chosen, group, strict=True))
+        return all(names is None or not name or name in names for names, name in zip(chosen, group, strict=True))
 
     def __str__(self) -> str:
         """Words, as in "intents use; objects mug, cup"."""
@@ -45,8 +51,36 @@ class Subset:
         return "; ".join(said) or "all"
 
 
-# Poses the hand of chosen frames (N,): (N, V, 3) metres, in the object's frame.
-PosedHand = Callable[[np.ndarray], Tensor]
+ALL = Subset()
+
+# Of the surfaces that can be inside an object, the parts that they consist of (ref. 1).
+SURFACES = {
+    "hands": (*RIGHT_HAND_PARTS, *LEFT_HAND_PARTS),
+    "head": HEAD_PARTS,
+    "body": tuple(sorted({*PARTS.values()} - {*RIGHT_HAND_PARTS, *LEFT_HAND_PARTS, *HEAD_PARTS})),
+}
+# Poses a surface in chosen frames (N,): (N, V, 3) metres, in the object's frame.
+Posed = Callable[[np.ndarray], Tensor]
+
+
+class Solid:
+    """An object in its own frame, which says how deep points are inside it.
+
+    Args:
+        mesh: metres.
+    """
+
+    def __init__(self, mesh: Mesh):
+        self._query = MeshQuery(mesh)
+        self._low, self._high = torch.tensor(mesh.vertices.min(0)), torch.tensor(mesh.vertices.max(0))
+
+    def depths(self, points: Tensor) -> Tensor:
+        """(N,) metres that points (N, 3) are inside; 0 outside."""
+        depths = points.new_zeros(len(points))
+        # What is outside the box is outside of the solid, and most of a body is.
+        near = ((points >= self._low) & (points <= self._high)).all(1).nonzero()[:, 0]
+        depths[near] = (-self._query.signed_distance(points[near])).clamp_min(0)
+        return depths
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +93,9 @@ class Frames:
         object: (T, V of the object) uint8, the part that touches each vertex, 0 for none (ref. 1).
         body: (T, V of the body) uint8, the own part of each touching vertex, 0 for the others.
         lift: (T,) metres that the object is above or below its first place; infinite where it is not recorded.
-        hands: the right hand, and the left one where there is one.
-        solid: the object in its own frame, made on demand.
+        surfaces: of "hands" the right one, and the left one where there is one; "head" and "body" where they are
+            recorded; none but the hands' touch in generated grasps.
+        solid: the object, made on demand.
         hand_length: metres, the longest side of the subject's right hand at rest.
     """
 
@@ -69,8 +104,8 @@ class Frames:
     object: np.ndarray
     body: np.ndarray
     lift: np.ndarray
-    hands: Sequence[PosedHand]
-    solid: Callable[[], MeshQuery]
+    surfaces: Mapping[str, Sequence[Posed]]
+    solid: Callable[[], Solid]
     hand_length: float
 
     def __len__(self) -> int:
@@ -94,18 +129,13 @@ class Frames:
         """(T,) bool: these parts together touch at least so many vertices of the object."""
         return self.counts[:, list(parts)].sum(1) >= least
 
-    def depths(self, frames: np.ndarray) -> np.ndarray:
-        """(N, V of all hands) metres that vertices of the hands are inside the object in chosen frames; 0 outside."""
-        parts = []
+    def depths(self, surface: str, frames: np.ndarray) -> Iterator[np.ndarray]:
+        """Of each of chosen frames, metres that the vertices of a surface which are inside the object are inside."""
         for start in range(0, len(frames), _BATCH):
             chosen = frames[start : start + _BATCH]
-            batch = []
-            for hand in self.hands:
-                vertices = hand(chosen)
-                distance = self.solid().signed_distance(vertices.reshape(-1, 3))
-                batch.append((-distance).clamp_min(0).reshape(len(chosen), -1).numpy())
-            parts.append(np.concatenate(batch, 1))
-        return np.concatenate(parts) if parts else np.zeros((0, 1), np.float32)
+            vertices = torch.cat([posed(chosen) for posed in self.surfaces[surface]], 1)
+            depths = self.solid().depths(vertices.reshape(-1, 3)).reshape(len(chosen), -1).numpy()
+            yield from (frame[frame > 0] for frame in depths)
 
 
 WHO = {"right hand": RIGHT_HAND_PARTS, "left hand": LEFT_HAND_PARTS, "head": HEAD_PARTS}

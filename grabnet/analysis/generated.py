@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from grabnet.analysis.data_set import DataSet, Surface, check_label
-from grabnet.analysis.frames import Frames, Group
+from grabnet.analysis.frames import Frames, Group, Solid
 from grabnet.body.anatomy import Anatomy
 from grabnet.body.hand import OPEN_HANDS, HandModel
 from grabnet.body.skeleton import RIGHT_HAND_PARTS
@@ -24,10 +24,7 @@ from grabnet.data.objects import object_files
 from grabnet.errors import UserError
 from grabnet.evaluation.generated import read_grasps
 from grabnet.geometry.mesh import load_mesh
-from grabnet.geometry.queries import MeshQuery
 from grabnet.io.files import existing, sha256
-
-GENERATED = "generated"  # stands for intent and subject
 
 
 @dataclass(frozen=True)
@@ -99,12 +96,12 @@ class GeneratedGrasps(DataSet):
         maps, vertices = annotate(found.vertices), torch.as_tensor(found.vertices)
         frames = Frames(
             name=name,
-            group=Group(GENERATED, GENERATED, name),
+            group=Group("", "", name),
             object=maps.object,
             body=maps.hand,
             lift=np.full(len(found), np.inf),
-            hands=[lambda chosen: vertices[chosen]],
-            solid=lambda: MeshQuery(mesh),
+            surfaces={"hands": [lambda chosen: vertices[chosen]]},
+            solid=lambda: Solid(mesh),
             hand_length=float(np.ptp(hand.v_template.numpy(), 0).max()),
         )
         files = [path for path in sorted((self.folder / name).iterdir()) if path.is_file()]

@@ -1,7 +1,7 @@
 """Meshes of a recording over time (paper S.2): what `grabnet meshes` does.
 
 The folder gets, of the formats asked for,
-    film.webp                                  what is seen from one side
+    film.webp                                  the whole body from one side; beside it the object from nearby
     motion.glb                                 an animation of body and object
     frames/<number>_body.ply, …_object.ply     one frame in the world, metres, with the property `contact`
     frames/<number>.npz                        the same: body, object (V, 3); contact_body, contact_object (V,) uint8
@@ -13,7 +13,7 @@ All are coloured by the part that touches (ref. 1), where one does.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -40,7 +40,9 @@ from grabnet.visual.pictures import OBJECT, SKIN, Shape, can_render, render
 FORMATS = ("film", "glb", "ply", "npz")
 RESULTS = ("frames/*.ply", "frames/*.npz", "faces.npz", "film.webp", "motion.glb", "meshes.json")
 _BATCH = 64
-_SIZE, _VIEW = (420, 460), (-0.75, -1.0, 0.5)  # pixels; from ahead of the person at the table, to their right
+_THIN = 7  # every so many vertices say where body and object are
+_SIZE, _VIEW = (460, 520), (-0.75, -1.0, 0.5)  # pixels; from ahead of the person at the table, to their right
+_ABOUT = 0.05  # metres around an object that are seen with it
 
 
 @dataclass(frozen=True)
@@ -83,12 +85,16 @@ class Motion:
     Attributes:
         rate: frames per second.
         view: (3,) direction from which to look.
+        room: (P, 3) metres, where body and object are over the whole recording.
+        reach: metres, half of what a close view of the object shows.
         frames: the frames; a generator, to be read once.
         count: how many.
     """
 
     rate: float
     view: np.ndarray
+    room: np.ndarray
+    reach: float
     frames: Iterator[Frame]
     count: int
 
@@ -104,7 +110,7 @@ def run(config: MeshesConfig) -> int:
         for frame in track(motion.frames, f"Posing {config.sequence}", motion.count):
             _write_frame(temporary / "frames", frame, config.formats)
             if "film" in config.formats:
-                pictures.append(Image.fromarray(_picture(frame, motion.view)))
+                pictures.append(Image.fromarray(_picture(frame, motion.view, motion.room, motion.reach)))
             if "glb" in config.formats:
                 kept.append(frame)
             last = frame
@@ -140,18 +146,29 @@ def motion_of(data: Recordings, name: str, every: int) -> Motion:
     numbers = np.arange(0, len(sequence), every)
 
     @torch.no_grad()
+    def pose(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        people = posed(sequence, body, template, chosen)
+        return people.numpy(), sequence.object.to_world(torch.tensor(solid.vertices), chosen).numpy()
+
     def frames() -> Iterator[Frame]:
         faces = body.faces.numpy()
         for start in range(0, len(numbers), _BATCH):
             chosen = numbers[start : start + _BATCH]
-            people = posed(sequence, body, template, chosen).numpy()
-            moved = sequence.object.to_world(torch.tensor(solid.vertices), chosen).numpy()
+            people, moved = pose(chosen)
             for k, number in enumerate(chosen):
                 labels = sequence.contact.body[number], sequence.contact.object[number]
                 yield Frame(int(number), Mesh(people[k], faces), Mesh(moved[k], solid.faces), *labels)
 
     table = sequence.table.rotations(slice(0, 1))[0].numpy()
-    return Motion(sequence.framerate / every, table @ np.array(_VIEW), frames(), len(numbers))
+    reach = float(np.linalg.norm(np.ptp(solid.vertices, 0))) / 2 + _ABOUT
+    room = _room(pose, numbers)
+    return Motion(sequence.framerate / every, table @ np.array(_VIEW), room, reach, frames(), len(numbers))
+
+
+def _room(pose: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], numbers: np.ndarray) -> np.ndarray:
+    """(P, 3) points of body and object in frames evenly spread, between which they cannot move far."""
+    chosen = numbers[np.linspace(0, len(numbers) - 1, min(len(numbers), _BATCH)).astype(int)]
+    return np.concatenate([vertices[:, ::_THIN].reshape(-1, 3) for vertices in pose(chosen)])
 
 
 def _write_frame(folder: Path, frame: Frame, formats: Sequence[str]) -> None:
@@ -174,14 +191,17 @@ def _write_npz(path: Path, **arrays: np.ndarray) -> None:
     write_bytes(path, buffer.getvalue())
 
 
-def _picture(frame: Frame, view: np.ndarray) -> np.ndarray:
+def _picture(frame: Frame, view: np.ndarray, room: np.ndarray, reach: float) -> np.ndarray:
     shapes = [
         Shape(mesh.vertices, mesh.faces, np.where(labels[:, None] > 0, PART_COLOURS[labels] / 255, plain))
         for mesh, labels, plain in (
             (frame.body, frame.body_labels, SKIN), (frame.object, frame.object_labels, OBJECT),
         )
     ]  # fmt: skip
-    return render(shapes, view, size=_SIZE)
+    # The second camera moves with the object, and stays as far from it however it is turned.
+    low, high = frame.object.vertices.min(0), frame.object.vertices.max(0)
+    near = (low + high) / 2 + reach * np.concatenate([np.eye(3), -np.eye(3)])
+    return np.concatenate([render(shapes, view, size=_SIZE, around=points) for points in (room, near)], 1)
 
 
 def _moving(frames: Sequence[Frame]) -> dict[str, Moving]:

@@ -41,7 +41,7 @@ def bars(axes: Axes, names: Sequence[str], series: Mapping[str, Sequence[float]]
         drawn = axes.bar(places, np.nan_to_num(values), 0.92 * width, color=COLOURS[k % len(COLOURS)], label=label)
         if len(names) * len(series) <= 40:
             axes.bar_label(drawn, ["" if np.isnan(v) else f"{v:,.0f}" for v in values], fontsize=7, padding=1)
-    axes.set_xticks(range(len(names)), names, rotation=0 if len(names) < 8 else 60, ha="center", fontsize=8)
+    axes.set_xticks(range(len(names)), names, rotation=0 if len(names) < 12 else 90, ha="center", fontsize=8)
     axes.set_ylabel(unit)
 
 
@@ -82,22 +82,23 @@ def tiled(
     """
     height, width = next(tile for line in tiles for tile in line if tile is not None).shape[:2]
     pitch = height + (round(0.2 * height) if captions else 0)
-    sheet = np.full((len(lines) * pitch, len(heads) * width, 3), 255, np.uint8)
     inches = len(heads) * size, len(lines) * size * pitch / width
-    figure = Figure((inches[0] + 1.1, inches[1] + 0.5 + 0.75 * bool(scales)), layout="constrained")
+    beside = 0.3 + 0.08 * max(len(part) for line in lines for part in line.split("\n"))
+    figure = Figure((inches[0] + beside, inches[1] + 0.5 + 0.75 * bool(scales)), layout="constrained")
     parts = figure.subfigures(
         1 + bool(scales), 1, height_ratios=[inches[1] + 0.5, 0.75][: 1 + bool(scales)], squeeze=False
     )
     axes = parts[0, 0].subplots()
     for row, column in np.ndindex(len(lines), len(heads)):
-        tile, centre = tiles[row][column], (column + 0.5) * width
-        if tile is not None:
-            sheet[row * pitch : row * pitch + height, column * width : (column + 1) * width] = tile
+        tile, left, top = tiles[row][column], column * width, row * pitch
+        centre = left + width / 2
+        if tile is not None:  # each by itself: of one large picture Matplotlib makes many copies
+            axes.imshow(tile, extent=(left, left + width, top + height, top))
         elif not captions:
-            axes.text(centre, row * pitch + height / 2, "none", ha="center", va="center", color="#98a2ad", fontsize=8)
+            axes.text(centre, top + height / 2, "none", ha="center", va="center", color="#98a2ad", fontsize=8)
         if captions:
-            axes.text(centre, row * pitch + height, captions[row][column], ha="center", va="top", fontsize=7)
-    axes.imshow(sheet, aspect="equal")
+            axes.text(centre, top + height, captions[row][column], ha="center", va="top", fontsize=7)
+    axes.set(xlim=(0, len(heads) * width), ylim=(len(lines) * pitch, 0), aspect="equal")
     axes.set_xticks((np.arange(len(heads)) + 0.5) * width, heads)
     axes.set_yticks(np.arange(len(lines)) * pitch + height / 2, lines)
     axes.xaxis.tick_top()
@@ -108,6 +109,7 @@ def tiled(
         below = parts[1, 0].subplots(1, len(scales), squeeze=False)[0]
         for here, (title, kind, low, high) in zip(below, scales, strict=True):
             _scale(here, title, kind, low, high)
+            here.set_box_aspect(0.15 * len(scales) / figure.get_figwidth())
     return figure
 
 
@@ -118,4 +120,3 @@ def _scale(axes: Axes, title: str, kind: str, low: float, high: float) -> None:
     bar = axes.figure.colorbar(ScalarMappable(Normalize(low, high), cmap), cax=axes, orientation="horizontal")
     bar.set_label(title, fontsize=8)
     axes.tick_params(labelsize=8)
-    axes.set_box_aspect(0.04)

@@ -30,7 +30,7 @@ _PUBLISHED = [
         )
     ),
     *(
-        ("penetration", {"intent": "use", "of a frame": "mean"}, column, value)
+        ("penetration", {"intent": "use", "surface": "hands", "of a frame": "mean"}, column, value)
         for column, value in (
             ("mean [mm]", 3.25), ("deviation [mm]", 0.68),
             *((f"≤ {limit} mm [%]", share) for limit, share in PENETRATION.items()),

@@ -8,7 +8,9 @@ from grabnet.analysis.statistics.clusters import Clusters
 from grabnet.analysis.statistics.content import Content
 from grabnet.analysis.statistics.object_heat import ObjectHeat
 from grabnet.analysis.statistics.penetration import Penetration
-from grabnet.analysis.statistics.shares import ContactShares, SizeEffect
+from grabnet.analysis.statistics.shares import ContactShares
+from grabnet.analysis.statistics.sizes import SizeEffect, SizeHeat
+from grabnet.analysis.statistics.threshold_heat import ThresholdHeat
 from grabnet.analysis.statistics.thresholds import Thresholds
 
 STATISTICS: list[type[Statistic]] = [
@@ -17,7 +19,9 @@ STATISTICS: list[type[Statistic]] = [
     BodyHeat,
     ObjectHeat,
     SizeEffect,
+    SizeHeat,
     Penetration,
     Clusters,
     Thresholds,
+    ThresholdHeat,
 ]

@@ -26,19 +26,21 @@ from grabnet.analysis.config import AnalyzeConfig
 from grabnet.analysis.published import agreement
 from grabnet.analysis.registry import STATISTICS
 from grabnet.analysis.report.findings import DIFFERENCE, Findings, Section
-from grabnet.analysis.report.meshes import write_heat
+from grabnet.analysis.report.meshes import write_heats
 from grabnet.analysis.report.page import write_page
 from grabnet.analysis.statistic import Analysed, Row
 from grabnet.analysis.statistics.clusters import Clusters
 from grabnet.cli.ends import say
 from grabnet.cli.progress import track
-from grabnet.errors import UserError
-from grabnet.io.files import existing, replacing, write_json
-from grabnet.io.litter import clear_litter
+from grabnet.io.files import filling, replacing, write_json
 from grabnet.io.locks import alone_in
-from grabnet.io.npz import read_npy
 from grabnet.io.provenance import provenance
 from grabnet.visual.pictures import can_render
+
+# The report last: where it lies, all others are those that it shows.
+RESULTS = (
+    "figures/*.png", "figures/*.pdf", "numbers/*.csv", "meshes/*.ply", "numbers.json", "report.html",
+)  # fmt: skip
 
 
 def run(config: AnalyzeConfig) -> int:
@@ -58,27 +60,41 @@ def analyze(config: AnalyzeConfig) -> list[str]:
     """
     start, failures, analysed = time.monotonic(), [], []
     names = [data.names() for data in config.data_sets]
-    with alone_in(config.root, "output"):
-        clear_litter(config.root, "*.*", "figures/*.*", "numbers/*.*", "meshes/*.*")
+    for data in config.data_sets:
+        # Read once, here: workers get them, and what is wrong with them is said before hours of counting.
+        _ = data.surface, data.objects(), data.object_markers()
+    with alone_in(config.root, "output"), filling(config.root, RESULTS, _is_ours) as folder:
         for data, sequences in zip(config.data_sets, names, strict=True):
             work = Accumulation(data, STATISTICS, config.rules, config.root / "counted" / data.label)
-            statistics, failed = accumulate(work, sequences, config.workers, config.max_deaths, config.dask_address)
+            statistics, failed = accumulate(
+                work, sequences, config.workers, config.max_deaths, config.dask_address, config.subset
+            )
             failures += [f"{outcome.name}: {outcome.failure}" for outcome in failed]
-            statistics[Clusters.name].markers = _markers(config.markers)
-            analysed.append(Analysed(data, config.subset, statistics))
-        findings = _findings(config, analysed, failures, time.monotonic() - start)
-        _write(config.root, findings)
+            statistics[Clusters.name].markers = data.object_markers()
+            analysed.append(Analysed(data, statistics))
+        findings = _findings(config, folder, analysed, failures, time.monotonic() - start)
+        _write(folder, findings)
     return failures
 
 
-def _findings(config: AnalyzeConfig, analysed: Sequence[Analysed], failures: Sequence[str], seconds: float) -> Findings:
-    """Tables, figures and meshes of all statistics."""
+def _is_ours(folder: Path) -> bool:
+    return any(folder.glob("counted/*/recipe.json"))
+
+
+def _findings(
+    config: AnalyzeConfig, folder: Path, analysed: Sequence[Analysed], failures: Sequence[str], seconds: float
+) -> Findings:
+    """Tables and meshes of all statistics; their figures are written to a folder at once, for the sake of memory."""
     sections, heats = [], {}
     for kind in track(STATISTICS, "Drawing figures"):
         tables = {each.label: each.rows(kind) for each in analysed}
         figure = kind.draw(analysed) if any(tables.values()) else None
-        heats |= kind.heats(analysed) if config.scenes else {}
-        sections.append(Section(kind.name, kind.title, kind.about, tables, figure))
+        if figure is not None:
+            save_figure(folder / "figures", kind.name, figure)
+        if config.scenes:
+            for name, mesh in kind.heats(analysed).items():
+                heats[name if name not in heats else f"{name} ({kind.title})"] = mesh  # an object may be called "head"
+        sections.append(Section(kind.name, kind.title, kind.about, tables, figure is not None))
     if len(analysed) > 1:
         first, second = analysed
         for section in sections:
@@ -91,35 +107,16 @@ def _findings(config: AnalyzeConfig, analysed: Sequence[Analysed], failures: Seq
         subset=str(config.subset),
         seconds=round(seconds, 1),
     )
-    return Findings(analysed, sections, agreement(tables), heats, failures, can_render(), record)
-
-
-def _markers(folder: str | None) -> dict[str, np.ndarray]:
-    """(M, 3) metres, by object, of files `<object>.npy` in a folder."""
-    if folder is None:
-        return {}
-    found = {}
-    for path in sorted(existing(folder, "Folder of markers (markers)").glob("*.npy")):
-        array = read_npy(path)
-        if not isinstance(array, np.ndarray) or array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind != "f":
-            raise UserError(
-                f"{path} holds no markers: an array (M, 3) of floats, metres in the object's frame, is needed."
-            )
-        if not np.isfinite(array).all() or not len(array):
-            raise UserError(f"{path} holds markers that are not finite, or none: repair it, or remove it.")
-        found[path.stem] = array
-    return found
+    return Findings(analysed, config.subset, sections, agreement(tables), heats, failures, can_render(), record)
 
 
 def _write(root: Path, findings: Findings) -> None:
     for section in findings.sections:
-        if section.figure is not None:
-            save_figure(root / "figures", section.name, section.figure)
         for label, rows in section.tables.items():
             write_csv(root / "numbers" / f"{section.name}_{label}.csv", rows)
     write_csv(root / "numbers" / "agreement.csv", findings.agreement)
     for name, heat in findings.heats.items():
-        write_heat(root / "meshes" / f"{name.replace(', ', '_')}.ply", heat)
+        write_heats(root / "meshes", name, heat)
     numbers = {section.name: section.tables for section in findings.sections} | {"agreement": findings.agreement}
     write_json(root / "numbers.json", {"record": findings.record, "numbers": _finite(numbers)})
     write_page(root / "report.html", findings, root / "figures")
@@ -130,6 +127,7 @@ def save_figure(folder: Path, name: str, figure: Figure) -> None:
     for suffix, about in ((".png", {"Software": None}), (".pdf", {"CreationDate": None})):
         with replacing(folder / f"{name}{suffix}") as temporary:
             figure.savefig(temporary, dpi=130, metadata=about)
+        figure.set_layout_engine("none")  # what was laid out once stays, and costs half
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:

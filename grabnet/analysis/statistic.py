@@ -6,7 +6,7 @@ To add one, write a subclass of `Statistic` and name it in `grabnet.analysis.reg
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from grabnet.analysis.data_set import DataSet
-from grabnet.analysis.frames import Frames, Group, Subset
+from grabnet.analysis.frames import ALL, Frames, Group, Subset
 from grabnet.analysis.rules import Rules
 from grabnet.data.intents import INTENTS
 
@@ -22,32 +22,36 @@ from grabnet.data.intents import INTENTS
 Row = dict[str, Any]
 
 
-class Heat(NamedTuple):
-    """A mesh coloured by how often its vertices are touched: vertices (V, 3) metres, faces (F, 3), share (V,).
+class Heats(NamedTuple):
+    """How often the vertices of a mesh are touched, in several subsets, which share a scale.
 
-    up: axis of the mesh that points upwards, "y" or "z". in_page: whether the report's page holds it, too.
+    vertices: (V, 3) metres. faces: (F, 3). up: axis of the mesh that points upwards, "y" or "z".
+    shares: (V,) by name. changes: (V,) differences of shares, by name.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
-    share: np.ndarray
-    up: str = "z"
-    in_page: bool = True
+    up: str
+    shares: dict[str, np.ndarray]
+    changes: dict[str, np.ndarray]
 
 
 class Statistic(ABC):
-    """Sums over frames, by group, so that any subset can be chosen afterwards.
+    """Sums over frames, by group.
 
     Args:
         rules: which frames count, and how finely.
 
     Attributes:
+        by: what `result` and `draw` tell apart. The parts of a pass are merged over the rest, so that memory depends on
+            how many of these there are, and not on how much was recorded.
         sums: an array by group and name; what `merge` adds up.
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
     about: ClassVar[str]
+    by: ClassVar[Collection[str]] = Group._fields
 
     def __init__(self, rules: Rules):
         self.rules = rules
@@ -72,7 +76,7 @@ class Statistic(ABC):
         """Draw the figure, data sets side by side with one scale; None where there is nothing to draw."""
 
     @classmethod
-    def heats(cls, analysed: Sequence[Analysed]) -> dict[str, Heat]:
+    def heats(cls, analysed: Sequence[Analysed]) -> dict[str, Heats]:
         """Meshes to turn in 3-D, by name."""
         return {}
 
@@ -91,8 +95,9 @@ class Statistic(ABC):
 
     def by_intent(self, subset: Subset) -> Iterator[tuple[str, Subset]]:
         """The subset's part of each intent that was counted, after "all"."""
-        there = {group.intent for group in self.groups(subset)}
-        if there:
+        groups = self.groups(subset)
+        there = {group.intent for group in groups if group.intent}
+        if groups:
             yield "all", subset
         for intent in sorted(there, key=lambda name: (INTENTS.index(name) if name in INTENTS else 9, name)):
             yield intent, Subset([intent], subset.subjects, subset.objects)
@@ -100,10 +105,9 @@ class Statistic(ABC):
 
 @dataclass(frozen=True)
 class Analysed:
-    """A data set, what was counted of it, and the subset to show."""
+    """A data set, and what was counted of its groups that were chosen."""
 
     data: DataSet
-    subset: Subset
     statistics: Mapping[str, Statistic] = field(default_factory=dict)
 
     @property
@@ -112,4 +116,4 @@ class Analysed:
 
     def rows(self, statistic: type[Statistic]) -> list[Row]:
         """The table of a statistic."""
-        return self.statistics[statistic.name].result(self.subset)
+        return self.statistics[statistic.name].result(ALL)

@@ -8,8 +8,8 @@ from omegaconf import DictConfig
 from grabnet.cli.entry import hydra_entry
 
 PATHS = (
-    "data.root", "data.models", "compare.root", "compare.models", "compare.meshes", "compare.hand_file", "markers",
-    "output",
+    "data.root", "data.models", "compare.root", "compare.models", "compare.meshes", "data.markers",
+    "compare.markers", "compare.hand_file", "output",
 )  # fmt: skip
 
 

@@ -71,6 +71,7 @@ def render(
     up: Sequence[float] = (0.0, 0.0, 1.0),
     size: tuple[int, int] = (400, 400),
     zoom: float = 1.0,
+    around: np.ndarray | None = None,
 ) -> np.ndarray:
     """Draw the shapes in parallel projection, framed to fill the picture.
 
@@ -80,11 +81,12 @@ def render(
         up: what points upwards in the picture; any other vector is taken when it is parallel to `direction`.
         size: (width, height) in pixels.
         zoom: above 1 closer than the frame.
+        around: (N, 3) points that the frame is put around, the same in all pictures of a film; the shapes' if omitted.
 
     Returns:
         uint8 (height, width, 3), white where there is nothing.
     """
-    return render_views(shapes, [direction], up, size, zoom)[0]
+    return render_views(shapes, [direction], up, size, zoom, around)[0]
 
 
 def render_views(
@@ -93,13 +95,14 @@ def render_views(
     up: Sequence[float] = (0.0, 0.0, 1.0),
     size: tuple[int, int] = (400, 400),
     zoom: float = 1.0,
+    around: np.ndarray | None = None,
 ) -> list[np.ndarray]:
     """`render` from several directions, for little more than the time of one."""
     stage = _stage(size)
     stage.clear_actors()
     for shape in shapes:
         _add(stage, shape)
-    points = np.concatenate([np.asarray(shape.vertices, np.float32) for shape in shapes])
+    points = np.concatenate([np.asarray(shape.vertices, np.float32) for shape in shapes]) if around is None else around
     return [_draw(stage, points, _camera_axes(direction, up), zoom) for direction in directions]
 
 

@@ -6,8 +6,8 @@ import csv
 import json
 import re
 import shutil
+import signal
 import struct
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,11 +18,11 @@ import trimesh
 from hydra.utils import instantiate
 
 from grabnet.analysis.accumulating import Accumulation, accumulate
-from grabnet.analysis.frames import Frames, Subset
+from grabnet.analysis.frames import ALL, Frames, Subset
+from grabnet.analysis.motion import motion_of
 from grabnet.analysis.statistic import Analysed, Row, Statistic
 from grabnet.body.hand import HandModel, HandParameters
 from grabnet.cli.entry import compose
-from grabnet.commands import run
 from grabnet.contact.coloured import PART_COLOURS
 from grabnet.data.sequences import read_sequence, write_sequence
 from grabnet.errors import UserError
@@ -30,8 +30,11 @@ from grabnet.geometry.mesh import Mesh, save_mesh
 from grabnet.geometry.rotations import axis_angle_to_matrix
 from grabnet.preprocess.statistics import contact_counts
 from grabnet.visual.pictures import can_render
+from tests.analysis.commands import command, data_of, values
+from tests.faults import DiesPublishing
 from tests.generation.browser import EXECUTABLE, Browser
 from tests.preprocess.tiny_grab import SEQUENCES, grip
+from tests.processes import finish
 
 SHOWN = re.compile(r"<(?:script|style|pre)[^>]*>.*?</(?:script|style|pre)>|<[^>]+>", re.DOTALL)
 
@@ -54,23 +57,6 @@ class Toy(Statistic):
         return None
 
 
-def values(grab, output: Path, *more: str) -> list[str]:
-    root, models = grab
-    return [
-        "data=grab", f"data.root={root}", f"data.models={models}", f"output={output}", "workers=1",
-        "rules.min_body_vertices=1", "rules.posed_every=3", "rules.clusters=2", *more,
-    ]  # fmt: skip
-
-
-def command(monkeypatch, name: str, given: list[str]) -> int:
-    monkeypatch.setattr(sys, "argv", [f"grabnet {name}", *given])
-    return run(name)
-
-
-def data_of(grab, tmp_path):
-    return instantiate(compose("analyze/analyze", values(grab, tmp_path)), _convert_="all")
-
-
 def test_a_statistic_is_a_class_and_a_pass_continues(grab, tmp_path, capsys):
     config = data_of(grab, tmp_path)
     work = Accumulation(config.data, [Toy], config.rules, tmp_path / "counted")
@@ -80,11 +66,12 @@ def test_a_statistic_is_a_class_and_a_pass_continues(grab, tmp_path, capsys):
     assert (Toy.calls, failures) == (len(SEQUENCES), [])
     recordings = [read_sequence(grab[0] / f"grab/{name}.npz") for name in SEQUENCES]
     untouched = {r.name: int((~r.contact.object.any(1)).sum()) for r in recordings}
-    rows = Analysed(config.data, Subset(), statistics).rows(Toy)
+    rows = Analysed(config.data, statistics).rows(Toy)
     assert rows[0] == {"intent": "all", "frames": sum(untouched.values())}
-    assert Analysed(config.data, Subset(subjects=["s2"]), statistics).rows(Toy)[0]["frames"] == sum(
-        n for name, n in untouched.items() if name.startswith("s2")
-    )
+    Toy.calls = 0
+    chosen, _ = accumulate(work, SEQUENCES, 1, 3, subset=Subset(subjects=["s2"]))
+    expected = sum(n for name, n in untouched.items() if name.startswith("s2"))
+    assert (chosen["toy"].result(ALL)[0]["frames"], Toy.calls) == (expected, 0)
     with pytest.raises(UserError, match=r"started with rules\.seed=0, now it is 1: delete"):
         accumulate(replace(work, rules=replace(config.rules, seed=1)), SEQUENCES, 1, 3)
 
@@ -131,6 +118,7 @@ def test_the_report_has_everything(grab, report):
     page = (report / "report.html").read_text()
     assert "synthetic" not in SHOWN.sub("", page)
     assert not re.search(r'(?:src|href)="(?!data:|#)', page)
+    assert len(page) < 3_000_000
     mesh = trimesh.load(report / "meshes/body_grab_all.ply", process=False)
     assert len(mesh.vertices) == 1556
     assert b"property float likelihood" in (report / "meshes/body_grab_all.ply").read_bytes()[:600]
@@ -149,28 +137,23 @@ def test_an_empty_subset_is_said(grab, report, tmp_path, monkeypatch, more, said
     assert said in SHOWN.sub("", (tmp_path / "report.html").read_text())
 
 
-def test_a_recording_without_contact_is_said_and_two_data_sets_are_subtracted(grab, tmp_path, monkeypatch):
+def test_a_recording_without_contact_is_said_and_results_of_before_give_way(grab, tmp_path, monkeypatch):
     root = tmp_path / "root"
     shutil.copytree(grab[0] / "tools", root / "tools")
-    shutil.copytree(root, tmp_path / "theirs")
+    for name in ("counted/theirs/recipe.json", "meshes/old.ply", "meshes/mine.txt", "numbers/content_theirs.csv"):
+        (tmp_path / "out" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "out" / name).write_text("of before")
     made = read_sequence(grab[0] / f"grab/{SEQUENCES[1]}.npz")
     nothing = replace(made.contact, object=0 * made.contact.object, body=0 * made.contact.body)
     write_sequence(root / f"grab/{SEQUENCES[1]}.npz", replace(made, contact=nothing))
-    write_sequence(tmp_path / f"theirs/grab/{SEQUENCES[1]}.npz", made)
-    others = [
-        "compare=grab",
-        "compare.label=theirs",
-        f"compare.root={tmp_path / 'theirs'}",
-        f"compare.models={grab[1]}",
-    ]
-    given = values((root, grab[1]), tmp_path / "out", "data.is_synthetic=true", "scenes=false", *others)
+    given = values((root, grab[1]), tmp_path / "out", "data.is_synthetic=true", "scenes=false")
     assert command(monkeypatch, "analyze", given) == 0
     text = SHOWN.sub("", (tmp_path / "out/report.html").read_text())
     assert "“grab” is synthetic: nobody was recorded" in text
     numbers = json.loads((tmp_path / "out/numbers.json").read_text())["numbers"]
-    ours, theirs, change = (numbers["content"][label][0] for label in ("grab", "theirs", "difference"))
-    assert ours["contact frames"] == 0
-    assert change["contact frames"] == -theirs["contact frames"] < 0
+    assert numbers["content"]["grab"][0]["contact frames"] == 0
+    left = sorted(path.name for place in ("meshes", "numbers") for path in (tmp_path / "out" / place).iterdir())
+    assert left[0] == "agreement.csv" and "mine.txt" in left and not {"old.ply", "content_theirs.csv"} & {*left}
     assert numbers["shares"]["grab"][0]["right hand [%]"] is None
 
 
@@ -244,7 +227,7 @@ def test_generated_grasps_are_a_data_set(grab, report, tmp_path, monkeypatch):
     numbers = json.loads((tmp_path / "out/numbers.json").read_text())["numbers"]
     (content,) = [row for row in numbers["content"]["grasps"] if row["by"] == "all"]
     assert content == {"by": "all", "name": "all", "sequences": 1, "frames": 3, "contact frames": 2}
-    (shares, _) = numbers["shares"]["grasps"]
+    (shares,) = numbers["shares"]["grasps"]
     assert (shares["right hand [%]"], shares["thumb [%]"], shares["index [%]"]) == (100, 100, 100)
     assert (shares["left hand [%]"], shares["palm [%]"]) == (0, 0)
     depths = radius - np.linalg.norm(vertices, axis=1)
@@ -252,6 +235,8 @@ def test_generated_grasps_are_a_data_set(grab, report, tmp_path, monkeypatch):
     assert found["mean"] == pytest.approx(1000 * depths[depths > 0].mean(), abs=0.1)  # the ball is made of triangles
     assert found["max"] == pytest.approx(1000 * depths.max(), abs=0.1)
     assert numbers["shares"]["difference"][0]["right hand [%]"] == 0
+    ours, theirs, change = (numbers["content"][label][0] for label in ("grab", "grasps", "difference"))
+    assert change["contact frames"] == ours["contact frames"] - theirs["contact frames"] > 0
     assert (tmp_path / "out/figures/body_heat.png").exists() or can_render()
 
 
@@ -269,6 +254,50 @@ def test_a_browser_shows_the_page_and_turns_the_meshes(report, tmp_path):
         browser.evaluate("document.getElementById('mesh').onchange()")
         second = browser.evaluate(inked)
         assert min(first, second) > 2000 and first != second
+        browser.evaluate("document.getElementById('mesh').value = 'ball'")
+        browser.evaluate("document.getElementById('mesh').onchange()")
+        names = browser.evaluate("[...document.getElementById('heat').options].map(o => o.value)")
+        assert names[:2] == ["grab, all", "grab, use"] and names[-1].startswith("grab, use − ")
+        pixels = "(() => { const d = document.createElement('canvas'), c = document.getElementById('view'); "
+        pixels += "d.width = c.width; d.height = c.height; const x = d.getContext('2d'); x.drawImage(c, 0, 0); "
+        pixels += "return d.toDataURL(); })()"
+        likelihood = browser.evaluate(pixels)
+        browser.evaluate("document.getElementById('heat').selectedIndex = document.getElementById('heat').length - 1")
+        browser.evaluate("document.getElementById('heat').onchange()")
+        assert browser.evaluate(pixels) != likelihood
+        assert browser.evaluate("document.getElementById('high').textContent").endswith("percentage points")
         assert browser.evaluate("[...document.images].every(image => image.complete && image.naturalWidth > 200)")
         assert browser.log["exceptions"] == [] and browser.log["console"] == []
         assert all(url.startswith(("file:", "data:", "about:")) for url in browser.log["requests"])
+
+
+def test_a_killed_pass_continues(grab, tmp_path):
+    """SIGKILL while the fourth part is written: three are not counted again, and nothing is left of the fourth."""
+    given, log = values(grab, tmp_path / "out", "scenes=false", "intents=[]"), tmp_path / "log"
+    fault = DiesPublishing(f"{tmp_path}/out/counted/grab/*/*.npz", 4)
+    assert finish(given, log, fault, "scripts/analyze.py") == -signal.SIGKILL
+    parts = {path: path.stat().st_mtime_ns for path in (tmp_path / "out/counted").rglob("*.npz") if path.name[0] != "."}
+    assert finish(given, log, script="scripts/analyze.py") == 0, log.read_text()
+    after = sorted((tmp_path / "out/counted").rglob("*"))
+    assert len(parts) >= 3 and all(path.stat().st_mtime_ns == time for path, time in parts.items())
+    files = [path.relative_to(tmp_path / "out/counted/grab").as_posix() for path in after if path.is_file()]
+    assert files == sorted(["recipe.json", *(f"{name}.npz" for name in SEQUENCES)])
+    assert "grab has no sequence of intents none. It has intents" in log.read_text()
+
+
+def test_a_film_keeps_its_camera(grab, tmp_path):
+    """Over a recording, the frame is put around the same points, and all of them lie in it."""
+    root, models = grab
+    given = [
+        "data=grab",
+        f"data.root={root}",
+        f"data.models={models}",
+        f"sequence={SEQUENCES[1]}",
+        f"output={tmp_path}",
+    ]
+    config = instantiate(compose("analyze/meshes", given), _convert_="all")
+    motion = motion_of(config.data, config.sequence, 1)
+    low, high = motion.room.min(0), motion.room.max(0)
+    for frame in motion.frames:
+        for mesh in (frame.body, frame.object):
+            assert (mesh.vertices.min(0) > low - 0.01).all() and (mesh.vertices.max(0) < high + 0.01).all()

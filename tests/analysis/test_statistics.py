@@ -10,18 +10,19 @@ import pytest
 import torch
 
 from grabnet.analysis.comparing import compared, difference
-from grabnet.analysis.frames import FINGER_PARTS, WHO, Group, Subset
+from grabnet.analysis.frames import ALL, FINGER_PARTS, SURFACES, WHO, Group, Solid, Subset
 from grabnet.analysis.registry import STATISTICS
 from grabnet.analysis.statistics.body_heat import BodyHeat
 from grabnet.analysis.statistics.clusters import Clusters
 from grabnet.analysis.statistics.content import Content
 from grabnet.analysis.statistics.object_heat import ObjectHeat
 from grabnet.analysis.statistics.penetration import Penetration
-from grabnet.analysis.statistics.shares import ContactShares, SizeEffect
+from grabnet.analysis.statistics.shares import ContactShares
+from grabnet.analysis.statistics.sizes import SizeEffect, SizeHeat
+from grabnet.analysis.statistics.threshold_heat import ThresholdHeat, setups
 from grabnet.analysis.statistics.thresholds import Thresholds
-from tests.analysis.toy import BOX, GROUPS, RULES, has, is_contact, sequence
+from tests.analysis.toy import BOX, GROUPS, RULES, box, has, is_contact, sequence
 
-ALL = Subset()
 SEQUENCES = [sequence(k) for k in range(len(GROUPS))]
 
 
@@ -74,10 +75,45 @@ def test_shares(intent):
 def test_sizes():
     rows = counted(SizeEffect).result(ALL)
     assert [r["subjects"] for r in rows if r["size"] == "large"] == ["all", "biggest hand (s2, 190 mm)"]
+    assert counted(SizeEffect, [replace(SEQUENCES[0], group=Group("use", "s1", "mug"))]).result(ALL) == []
     found = row(rows, subjects="smallest hand (s1, 180 mm)", shape="cube", size="small")
     there = contact([SEQUENCES[0], SEQUENCES[2]])
     assert found["contact frames"] == len(there)
     assert found["left hand [%]"] == pytest.approx(100 * np.mean([has(f, t, WHO["left hand"]) for f, t in there]))
+
+
+def test_size_heat():
+    heat = counted(SizeHeat)
+    there = contact([SEQUENCES[0], SEQUENCES[2]])
+    for of_what, labels in (("object", "object"), ("body", "body")):
+        share = np.mean([getattr(f, labels)[t] > 0 for f, t in there], 0)
+        np.testing.assert_allclose(heat.share(Subset(objects=["cubesmall"]), of_what), share)
+    found = row(heat.result(ALL), subjects="smallest hand (s1, 180 mm)", shape="cube", size="small")
+    assert found["contact frames"] == len(there)
+    touched = {v for f, t in there for v in np.flatnonzero(f.body[t])}
+    assert found["body, ever touched [%]"] == pytest.approx(100 * len(touched) / 60)
+
+
+def test_threshold_heat():
+    """Vertex by vertex: it counts where its finger, or the part that it is of, touches C vertices of the object."""
+    fingers = [set(range(26 + 3 * k, 29 + 3 * k)) for k in range(10)]
+    heat, pairs = counted(ThresholdHeat), setups(RULES)
+    assert pairs == [(0.005, 1), (0.0, 1), (0.02, 1), (0.005, 2), (0.005, 4)]
+    shares = []
+    for (lift, least), found in zip(pairs, heat.shares(Subset(["use"])), strict=True):
+        there = [(f, t) for f in of("use") for t in range(len(f)) if is_contact(f, t, lift)]
+        counts = np.zeros(60)
+        for f, t in there:
+            for v, part in enumerate(f.body[t]):
+                together = next((finger for finger in fingers if part in finger), {part})
+                counts[v] += part > 0 and has(f, t, together, least)
+        shares.append(counts / len(there))
+        np.testing.assert_allclose(found, shares[-1])
+    found = row(heat.result(ALL), intent="use", C="4", **{"H [mm]": "5"})
+    change = 100 * np.abs(shares[-1] - shares[0])
+    assert found["largest change [points]"] == pytest.approx(change.max()) and change.max() > 5
+    touched = (shares[-1] > 0) | (shares[0] > 0)
+    assert found["mean change [points]"] == pytest.approx(change[touched].mean())
 
 
 def test_thresholds():
@@ -118,18 +154,20 @@ def test_object_heat():
     assert heat.share(Subset(["lift"]), "cubesmall") is None
 
 
-def test_penetration():
+@pytest.mark.parametrize("surface", ["hands", "head"])
+def test_penetration(surface):
     """The depth within a box is the distance to its nearest side."""
     values = []
     for frames in of("use"):
-        for t in [t for t in range(len(frames)) if is_contact(frames, t)][:: RULES.posed_every]:
-            points = np.concatenate([hand(np.array([t]))[0].numpy() for hand in frames.hands])
+        there = [t for t in range(len(frames)) if is_contact(frames, t) and has(frames, t, SURFACES[surface])]
+        for t in there[:: RULES.posed_every]:
+            points = np.concatenate([posed(np.array([t]))[0].numpy() for posed in frames.surfaces[surface]])
             depths = [d for d in (BOX / 2 - np.abs(points)).min(1) if d > 0]
             if depths:
                 values.append([max(depths), np.mean(depths), np.median(depths)])
     rows = counted(Penetration).result(ALL)
     for kind, column in zip(("max", "mean", "median"), np.transpose(values), strict=True):
-        found = row(rows, intent="use", **{"of a frame": kind})
+        found = row(rows, intent="use", surface=surface, **{"of a frame": kind})
         assert found["frames inside"] == len(values) > 8
         assert found["mean [mm]"] == pytest.approx(1000 * column.mean(), rel=1e-4)
         assert found["deviation [mm]"] == pytest.approx(1000 * column.std(), rel=1e-3)
@@ -146,6 +184,7 @@ def test_clusters():
     ]).astype(np.float32)  # fmt: skip
     clusters = Clusters(RULES)
     group = Group("use", "s1", "mug")
+    hands = hands.astype(np.float16).astype(np.float32)  # as they are kept
     order = rng.permutation(len(hands))
     clusters._keep(group, order.astype(np.uint64), hands)
     clusters.markers = {"mug": hands[7, :1].astype(float) + np.array([0, 0, 0.001])}
@@ -159,6 +198,13 @@ def test_clusters():
         "object": "mug", "grasps": 12, "clusters": 3, "largest cluster [%]": 50.0, "markers": 1,
         "clusters touching markers": 1,
     }  # fmt: skip
+
+
+def test_grasps_that_are_alike_are_one_cluster():
+    clusters, hand = Clusters(RULES), np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3))
+    noise = np.random.default_rng(1).normal(0, 0.0002, (9, 20, 3))
+    clusters._keep(Group("use", "s1", "mug"), np.arange(9, dtype=np.uint64), hand + noise)
+    assert [cluster.grasps for cluster in clusters.clusters(ALL, "mug")] == [9]
 
 
 @pytest.mark.parametrize("kind", STATISTICS)
@@ -199,5 +245,24 @@ def test_what_is_compared():
 
 
 def test_depths_of_no_frames():
-    assert SEQUENCES[0].depths(np.zeros(0, int)).shape[0] == 0
-    assert isinstance(SEQUENCES[0].hands[0](np.array([0])), torch.Tensor)
+    assert list(SEQUENCES[0].depths("hands", np.zeros(0, int))) == []
+
+
+def test_points_on_all_sides_of_a_solid():
+    points = torch.tensor(np.random.default_rng(0).uniform(-0.08, 0.08, (500, 3)), dtype=torch.float32)
+    expected = (BOX / 2 - np.abs(points.numpy())).min(1).clip(0)
+    np.testing.assert_allclose(Solid(box()).depths(points), expected, atol=1e-6)
+    assert (expected > 0).sum() > 50
+
+
+@pytest.mark.parametrize("kind", STATISTICS)
+def test_what_is_not_told_apart_can_be_merged(kind):
+    """As a pass adds up: the results are those of the groups as they are."""
+    merged = kind(RULES)
+    for frames in SEQUENCES:
+        one = kind(RULES)
+        one.add(frames)
+        one.sums = {(group.merged(kind.by), what): value for (group, what), value in one.sums.items()}
+        merged.merge(one)
+    assert str(merged.result(ALL)) == str(counted(kind).result(ALL))
+    assert len(merged.groups(ALL)) == len({tuple(getattr(g, by) for by in kind.by) for g in counted(kind).groups(ALL)})

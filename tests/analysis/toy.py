@@ -6,10 +6,9 @@ import numpy as np
 import torch
 import trimesh
 
-from grabnet.analysis.frames import Frames, Group
+from grabnet.analysis.frames import Frames, Group, Solid
 from grabnet.analysis.rules import Rules
 from grabnet.geometry.mesh import Mesh
-from grabnet.geometry.queries import MeshQuery
 
 BOX = np.array([0.06, 0.08, 0.1])  # metres, sides of the object
 RULES = Rules(
@@ -40,15 +39,18 @@ def sequence(k: int, n: int = 40, touching: bool = True) -> Frames:
     """A sequence of the k-th group: n frames, an object of 30 vertices and a body of 60; points for hands."""
     rng = np.random.default_rng(k)
     labels = [np.where(rng.random((n, v)) < 0.2 * touching, rng.integers(1, 56, (n, v)), 0) for v in (30, 60)]
-    right, left = (torch.tensor(rng.uniform(-0.06, 0.06, (n, 20, 3)), dtype=torch.float32) for _ in range(2))
+    right, left, head = (torch.tensor(rng.uniform(-0.06, 0.06, (n, 20, 3)), dtype=torch.float32) for _ in range(3))
     return Frames(
         name=f"{GROUPS[k].subject}/{GROUPS[k].object}_{GROUPS[k].intent}_1",
         group=GROUPS[k],
         object=labels[0].astype(np.uint8),
         body=labels[1].astype(np.uint8),
         lift=rng.uniform(-0.03, 0.03, n).astype(np.float32),
-        hands=[lambda chosen: right[chosen], lambda chosen: left[chosen]],
-        solid=lambda: MeshQuery(box()),
+        surfaces={
+            "hands": [lambda chosen: right[chosen], lambda chosen: left[chosen]],
+            "head": [lambda chosen: head[chosen]],
+        },
+        solid=lambda: Solid(box()),
         hand_length=0.17 + 0.01 * int(GROUPS[k].subject[1]),
     )
 

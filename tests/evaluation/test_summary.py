@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import scipy.stats
 
+from grabnet.cli.numbers import digits
 from grabnet.evaluation.bootstrap import NOTHING, mean, statistic
 from grabnet.evaluation.methods import Method
 from grabnet.evaluation.metrics import ALL, Metric
-from grabnet.evaluation.reporting.tables import digits
 from grabnet.evaluation.summary import expected_order, failures, figures, find, unexpected_order
 
 DEPTH = Metric("penetration", "max", "mm", "depth", "lower")

@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from matplotlib.figure import Figure
-
-from grabnet.analysis.statistic import Analysed, Heat, Row
+from grabnet.analysis.frames import Subset
+from grabnet.analysis.statistic import Analysed, Heats, Row
 
 # Label of a table that subtracts two.
 DIFFERENCE = "difference"
@@ -16,13 +15,13 @@ DIFFERENCE = "difference"
 
 @dataclass(frozen=True)
 class Section:
-    """A statistic: its tables by data set, then their difference, and its figure where there is something to draw."""
+    """A statistic: its tables by data set, then their difference; whether there was something to draw."""
 
     name: str
     title: str
     about: str
     tables: dict[str, list[Row]]
-    figure: Figure | None
+    is_drawn: bool
 
 
 @dataclass(frozen=True)
@@ -31,6 +30,7 @@ class Findings:
 
     Attributes:
         analysed: the data sets.
+        subset: what of them is shown.
         sections: of statistics.
         agreement: published numbers beside those of the first data set.
         heats: meshes to turn, by name.
@@ -40,9 +40,10 @@ class Findings:
     """
 
     analysed: Sequence[Analysed]
+    subset: Subset
     sections: Sequence[Section]
     agreement: Sequence[Row]
-    heats: Mapping[str, Heat]
+    heats: Mapping[str, Heats]
     failures: Sequence[str]
     no_pictures: str | None
     record: dict[str, Any]

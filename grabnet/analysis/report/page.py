@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import base64
+import gzip
+import io
 import json
 import math
 from collections.abc import Iterable, Sequence
@@ -10,13 +12,27 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from matplotlib.colors import to_hex
+from PIL import Image
+
+from grabnet.analysis.frames import ALL
+from grabnet.analysis.plots import difference_colours, heat_colours
 from grabnet.analysis.report.findings import Findings, Section
-from grabnet.analysis.report.meshes import heat_glb
+from grabnet.analysis.report.meshes import colourings, heats_glb
 from grabnet.analysis.statistic import Row
-from grabnet.evaluation.reporting.tables import digits
+from grabnet.cli.numbers import digits
 from grabnet.io.files import replacing
 
 _TEMPLATE = Path(__file__).with_name("page.html")
+# Turn about the vertical and tilt, radians, of the views of meshes.
+_SIDES = {
+    "aslant": "0.5 0.2", "the front": "0 0", "the back": "3.1416 0", "its left": "1.5708 0", "its right": "-1.5708 0",
+    "above": "0 1.5708", "below": "0 -1.5708",
+}  # fmt: skip
+# Of the bars below the meshes, from end to end.
+_STOPS = np.linspace(0, 1, 17)
+_WEBP_MOST = 16_383  # pixels of a side
 # Lines of a table that are seen without unfolding it.
 _SHORT = 12
 
@@ -40,6 +56,7 @@ def write_page(path: Path, findings: Findings, figures: Path) -> None:
         f'<section id="s{k}"><h2>{escape(title)}</h2>{body}</section>' for k, (title, body) in enumerate(sections)
     )
     parts = {"SUBTITLE": escape(_subtitle(findings)), "CONTENTS": contents, "MAIN": main, "MESHES": _meshes(findings)}
+    parts |= {"HEAT": _gradient(heat_colours(_STOPS, 1)), "CHANGE": _gradient(difference_colours(2 * _STOPS - 1, 1))}
     page = _TEMPLATE.read_text(encoding="utf-8")
     for name, text in parts.items():
         page = page.replace(f"<!--{name}-->", text)
@@ -49,7 +66,8 @@ def write_page(path: Path, findings: Findings, figures: Path) -> None:
 
 def _subtitle(findings: Findings) -> str:
     labels = " and ".join(each.label for each in findings.analysed)
-    return f"{labels}; shown: {findings.analysed[0].subset}; made {findings.record['made'][:10]}"
+    about = f"{labels}; shown: {findings.subset}; made {findings.record['made'][:10]}"
+    return f"{about}; a click on a figure shows it in full size"
 
 
 def _agreement(findings: Findings) -> str:
@@ -63,8 +81,8 @@ def _agreement(findings: Findings) -> str:
             f"<div class=warning>The data set “{escape(first.label)}” is synthetic: nobody was recorded. The published "
             "numbers, which are of GRAB, stand beside its own for orientation; it need not agree with them.</div>"
         )
-    if str(first.subset) != "all":
-        parts.append(_note(f"Only a subset is counted here ({first.subset}); the published numbers are of all."))
+    if findings.subset != ALL:
+        parts.append(_note(f"Only a subset is counted here ({findings.subset}); the published numbers are of all."))
     return "".join(parts) + _table(findings.agreement)
 
 
@@ -72,7 +90,7 @@ def _section(section: Section, figures: Path, no_pictures: str | None) -> str:
     parts = [_note(section.about)]
     if not any(section.tables.values()):
         return f"{parts[0]}<p>There are no such frames in what was chosen.</p>"
-    if section.figure is not None:
+    if section.is_drawn:
         parts.append(_image(figures / f"{section.name}.png", section.title))
     else:
         parts.append(f"<p>{escape(no_pictures or 'Nothing was touched in what was chosen, so nothing is drawn.')}</p>")
@@ -84,23 +102,30 @@ def _section(section: Section, figures: Path, no_pictures: str | None) -> str:
 
 
 def _viewer(findings: Findings) -> str:
-    names = [name for name, heat in findings.heats.items() if heat.in_page]
-    if not names:
+    if not findings.heats:
         return "<p>There are no meshes coloured by contact: nothing was touched, or scenes=false.</p>"
-    options = "".join(f"<option>{escape(name)}</option>" for name in names)
+    options = "".join(f"<option>{escape(name)}</option>" for name in findings.heats)
+    sides = "".join(f'<option value="{turn}">{escape(name)}</option>' for name, turn in _SIDES.items())
     return (
-        f"<p><label>Mesh <select id=mesh>{options}</select></label> <span class=note>drag to turn, wheel to zoom</span>"
-        "</p><canvas id=view></canvas><div class=scale><span>0</span><i></i><span id=most></span></div>"
+        f"<p><label>Mesh <select id=mesh>{options}</select></label> <label>Shown <select id=heat></select></label> "
+        f"<label>From <select id=side>{sides}</select></label> "
+        "<span class=note>drag to turn, wheel to zoom</span></p><canvas id=view></canvas>"
+        "<div class=scale><span id=low></span><i id=bar></i><span id=high></span></div>"
     )
 
 
 def _meshes(findings: Findings) -> str:
-    meshes = [
-        {"glb": base64.b64encode(heat_glb(heat)).decode(), "most": f"{100 * float(heat.share.max()):.1f} % of frames"}
-        for heat in findings.heats.values()
-        if heat.in_page
-    ]
-    return json.dumps(meshes)
+    """JSON that stays within a script element: each mesh as a compressed .glb, and the scales of its colourings."""
+    meshes = []
+    for heats in findings.heats.values():
+        scales = {name: [each.low, each.high, each.is_change] for name, each in colourings(heats).items()}
+        meshes.append({"glb": base64.b64encode(gzip.compress(heats_glb(heats))).decode(), "scales": scales})
+    return json.dumps(meshes).replace("<", "\\u003c")
+
+
+def _gradient(colours: np.ndarray) -> str:
+    """(N, 3) colours in [0, 1] as CSS."""
+    return ", ".join(to_hex(colour) for colour in colours)
 
 
 def _table(rows: Sequence[Row]) -> str:
@@ -132,5 +157,13 @@ def _note(text: str) -> str:
 
 
 def _image(path: Path, alt: str) -> str:
-    data = base64.b64encode(path.read_bytes()).decode()
-    return f'<img class=plot alt="{escape(alt, quote=True)}" src="data:image/png;base64,{data}">'
+    """The picture as WebP, which takes a third of the PNG file, where that format can hold it."""
+    kind, data = "png", path.read_bytes()
+    with Image.open(path) as picture:
+        if max(picture.size) <= _WEBP_MOST:
+            buffer = io.BytesIO()
+            picture.convert("RGB").save(buffer, "WEBP", quality=88)
+            kind, data = "webp", buffer.getvalue()
+    data = base64.b64encode(data).decode()
+    image = f'<img class=plot alt="{escape(alt, quote=True)}" src="data:image/{kind};base64,{data}">'
+    return f"<div class=figure>{image}</div>"

@@ -8,35 +8,16 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from grabnet.analysis.comparing import compared
+from grabnet.analysis.comparing import compared, minus
 from grabnet.analysis.data_set import Surface
-from grabnet.analysis.frames import WHO, Frames, Subset
+from grabnet.analysis.frames import ALL, WHO, Frames, Subset
 from grabnet.analysis.plots import difference_colours, heat_colours, tiled
-from grabnet.analysis.statistic import Analysed, Heat, Row, Statistic
-from grabnet.body.skeleton import HEAD_PARTS, LEFT_HAND_PARTS, PARTS, RIGHT_HAND_PARTS
-from grabnet.visual.pictures import Shape, can_render, render
+from grabnet.analysis.statistic import Analysed, Heats, Row, Statistic
+from grabnet.analysis.views import VIEWS, cut, on_view, shows, tile
+from grabnet.visual.pictures import can_render
 
-_SIZE = (260, 260)
-
-
-class _View(NamedTuple):
-    """A picture of the body at rest: the parts seen, whose frames count, direction to the viewer, what points up."""
-
-    parts: Sequence[int]
-    of: str
-    direction: Sequence[float]
-    up: Sequence[float]
-
-
-# SMPL-X at rest stands with y up and looks along z; its arms lie along x, palms down.
-_VIEWS = {
-    "body": _View(tuple(range(1, len(PARTS) + 1)), "frames", (0, 0.15, 1), (0, 1, 0)),
-    "right palm": _View(RIGHT_HAND_PARTS, "right hand", (0, -1, 0), (-1, 0, 0)),
-    "right back": _View(RIGHT_HAND_PARTS, "right hand", (0, 1, 0), (-1, 0, 0)),
-    "left palm": _View(LEFT_HAND_PARTS, "left hand", (0, -1, 0), (1, 0, 0)),
-    "left back": _View(LEFT_HAND_PARTS, "left hand", (0, 1, 0), (1, 0, 0)),
-    "head": _View(HEAD_PARTS, "head", (0.5, 0.1, 1), (0, 1, 0)),
-}
+# What to turn in 3-D, and the view that says which parts and frames it is of.
+_MESHES = {"body": "body front", "right hand": "right palm", "left hand": "left palm", "head": "head"}
 
 
 class BodyHeat(Statistic):
@@ -48,6 +29,7 @@ class BodyHeat(Statistic):
         "Likelihood that a vertex of the body is in contact: on the body, over all contact frames; on hands and head, "
         "over those in which they take part (paper Fig. 5, S.9). Of bodies that differ, right hands are subtracted."
     )
+    by = ("intent",)
 
     def add(self, frames: Frames) -> None:
         contact = frames.contact_frames(self.rules.min_lift, self.rules.min_body_vertices)
@@ -77,40 +59,58 @@ class BodyHeat(Statistic):
         if can_render():
             return None
         seen = _seen(analysed, cls.name)
-        shown = [share[_on(one.surface, _VIEWS[name].parts)] for one in seen for name, share in one.shares.items()]
+        shown = [share[on_view(one.surface, name)] for one in seen for name, share in one.shares.items()]
         highest = max((float(share.max()) for share in shown if len(share)), default=0.0)
         if not highest:
             return None
         tiles = [
-            [_tile(one.surface, v, heat_colours(one.shares[name], highest)) if name in one.shares else None
-             for name, v in _VIEWS.items()]
+            [tile(one.surface, name, heat_colours(one.shares[name], highest)) if name in one.shares else None
+             for name in VIEWS]
             for one in seen
         ]  # fmt: skip
         lines, scales = [one.title for one in seen], [("likelihood of contact, %", "heat", 0.0, 100 * highest)]
         changes = {
-            f"{a.title}\n− {b.title}": (a.surface, _changes(a, b))
+            minus((a.label, a.intent), (b.label, b.intent)).replace(", ", "\n").replace(" − ", "\n− "): (
+                a.surface, _changes(a, b)
+            )
             for a, b in compared(seen, lambda one: (one.label, one.intent))
-        }
-        most = max((float(np.abs(c).max()) for _, views in changes.values() for c in views.values()), default=0.0)
+        }  # fmt: skip
+        most = max(
+            (
+                float(np.abs(change[on_view(surface, name)]).max())
+                for surface, views in changes.values()
+                for name, change in views.items()
+            ),
+            default=0.0,
+        )
         if most:
             for title, (surface, change) in changes.items():
                 lines.append(title)
                 tiles.append([
-                    _tile(surface, v, difference_colours(change[name], most)) if name in change else None
-                    for name, v in _VIEWS.items()
+                    tile(surface, name, difference_colours(change[name], most)) if name in change else None
+                    for name in VIEWS
                 ])  # fmt: skip
             scales.append(("difference, percentage points", "difference", -100 * most, 100 * most))
-        return tiled(tiles, lines, list(_VIEWS), scales)
+        return tiled(tiles, lines, list(VIEWS), scales)
 
     @classmethod
-    def heats(cls, analysed: Sequence[Analysed]) -> dict[str, Heat]:
-        shown = {"body": "body", "right hand": "right palm", "left hand": "left palm", "head": "head"}
-        return {
-            f"{what}, {one.title}".replace("\n", ", "): Heat(*_cut(one.surface, _VIEWS[view], one.shares[view]), "y")
-            for one in _seen(analysed, cls.name)
-            for what, view in shown.items()
-            if view in one.shares
-        }
+    def heats(cls, analysed: Sequence[Analysed]) -> dict[str, Heats]:
+        seen, found = _seen(analysed, cls.name), {}
+        pairs = compared(seen, lambda one: (one.label, one.intent))
+        for what, view in _MESHES.items():
+            for one in seen:
+                if view not in one.shares:
+                    continue
+                is_alike = len(one.surface.parts) == len(seen[0].surface.parts)
+                name = what if is_alike else f"{what} of {one.label}"
+                vertices, faces, share = cut(one.surface, view, one.shares[view])
+                heats = found.setdefault(name, Heats(vertices, faces, "y", {}, {}))
+                heats.shares[f"{one.label}, {one.intent}"] = share
+                for other in (b for a, b in pairs if a is one):
+                    if (change := _changes(one, other).get(view)) is not None:
+                        title = minus((one.label, one.intent), (other.label, other.intent))
+                        heats.changes[title] = cut(one.surface, view, change)[2]
+        return found
 
 
 class _Seen(NamedTuple):
@@ -130,11 +130,9 @@ def _seen(analysed: Sequence[Analysed], statistic: str) -> list[_Seen]:
     found = []
     for each in analysed:
         heat = each.statistics[statistic]
-        for intent, chosen in heat.by_intent(each.subset):
+        for intent, chosen in heat.by_intent(ALL):
             surface = each.data.surface
-            there = {
-                name: heat.share(chosen, view.of) for name, view in _VIEWS.items() if _on(surface, view.parts).any()
-            }
+            there = {name: heat.share(chosen, view.of) for name, view in VIEWS.items() if shows(surface, name)}
             found.append(_Seen(each.label, intent, surface, {n: s for n, s in there.items() if s is not None}))
     return found
 
@@ -146,23 +144,7 @@ def _changes(a: _Seen, b: _Seen) -> dict[str, np.ndarray]:
         one, other = a.shares[name], b.shares[name]
         if len(one) == len(other):
             found[name] = one - other
-        elif _VIEWS[name].of == "right hand":
+        elif VIEWS[name].of == "right hand":
             found[name] = np.zeros(len(one))
             found[name][a.surface.right_hand] = one[a.surface.right_hand] - other[b.surface.right_hand]
     return found
-
-
-def _on(surface: Surface, parts: Sequence[int]) -> np.ndarray:
-    """(V,) bool: vertices of these parts."""
-    return np.isin(surface.parts, parts)
-
-
-def _cut(surface: Surface, view: _View, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices and faces of the parts that a view shows, and the values (V, …) of these vertices."""
-    faces = surface.faces[_on(surface, view.parts)[surface.faces].all(1)]
-    used, faces = np.unique(faces, return_inverse=True)
-    return surface.vertices[used], faces.reshape(-1, 3), values[used]
-
-
-def _tile(surface: Surface, view: _View, colours: np.ndarray) -> np.ndarray:
-    return render([Shape(*_cut(surface, view, colours))], view.direction, view.up, _SIZE)

@@ -12,15 +12,19 @@ from matplotlib.figure import Figure
 from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 
-from grabnet.analysis.frames import Frames, Group, Subset
+from grabnet.analysis.frames import ALL, Frames, Group, Subset
 from grabnet.analysis.plots import tiled
 from grabnet.analysis.rules import Rules
 from grabnet.analysis.statistic import Analysed, Row, Statistic
 from grabnet.body.skeleton import RIGHT_HAND_PARTS
 from grabnet.contact.contacts import CONTACT_DISTANCE
+from grabnet.geometry.mesh import Mesh
 from grabnet.visual.pictures import OBJECT, SKIN, Shape, can_render, render
 
 _TILE = (130, 130)
+# Metres, root mean square over the hand's vertices: grasps no further apart get no clusters of their own.
+_ALIKE = 0.001
+_STORED = np.float16  # within 0.5 m off by 0.12 mm at most
 # Every so many of the hand's vertices describe it; all of them cluster the same, and slower.
 _THIN = 8
 
@@ -41,8 +45,10 @@ class Clusters(Statistic):
     about = (
         "k-means of the right hand's vertices in the object's frame, over a sample of the contact frames that it takes "
         "part in; shown, with the number of grasps, is the grasp nearest to each centre, the largest cluster first. A "
-        "cluster touches markers where that hand is within 4.5 mm of one (●; paper S.10)."
+        "cluster touches markers where that hand is within 4.5 mm of one (●; red: the markers; paper S.10)."
     )
+
+    by = ("object",)
 
     def __init__(self, rules: Rules):
         super().__init__(rules)
@@ -55,10 +61,10 @@ class Clusters(Statistic):
         n = min(len(there), self.rules.grasps_per_sequence)
         if n:
             chosen = there[np.linspace(0, len(there) - 1, n).astype(int)]
-            self._keep(frames.group, _ranks(frames.name, chosen), frames.hands[0](chosen).numpy())
+            self._keep(frames.group, _ranks(frames.name, chosen), frames.surfaces["hands"][0](chosen).numpy())
 
     def merge(self, other: Statistic) -> None:
-        for group in other.groups(Subset()):
+        for group in other.groups(ALL):
             self._keep(group, other.sums[group, "ranks"], other.sums[group, "hands"])
 
     def _keep(self, group: Group, ranks: np.ndarray, hands: np.ndarray) -> None:
@@ -67,7 +73,7 @@ class Clusters(Statistic):
             ranks = np.concatenate([self.sums[group, "ranks"], ranks])
             hands = np.concatenate([self.sums[group, "hands"], hands])
         order = np.argsort(ranks)[: self.rules.grasps_per_object]
-        self.sums[group, "ranks"], self.sums[group, "hands"] = ranks[order], hands[order]
+        self.sums[group, "ranks"], self.sums[group, "hands"] = ranks[order], hands[order].astype(_STORED)
 
     def clusters(self, subset: Subset, name: str) -> list[Cluster]:
         """Clusters of the grasps of an object, the largest first; none without grasps."""
@@ -76,10 +82,10 @@ class Clusters(Statistic):
         if not groups:
             return []
         ranks = np.concatenate([self.sums[group, "ranks"] for group in groups])
-        hands = np.concatenate([self.sums[group, "hands"] for group in groups])
+        hands = np.concatenate([self.sums[group, "hands"] for group in groups]).astype(np.float32)
         hands = hands[np.argsort(ranks)[: self.rules.grasps_per_object]]
         features = hands[:, ::_THIN].reshape(len(hands), -1).astype(np.float64)
-        k = min(self.rules.clusters, len(np.unique(features, axis=0)))
+        k = min(self.rules.clusters, _distinct(features))
         centres, label = kmeans2(features, k, minit="++", seed=np.random.default_rng(self.rules.seed))
         found = []
         for number in np.unique(label):
@@ -108,11 +114,13 @@ class Clusters(Statistic):
         tiles, lines, captions = [], [], []
         for each in analysed:
             faces, statistic = each.data.hand().faces.numpy(), each.statistics[cls.name]
-            for name in sorted({group.object for group in statistic.groups(each.subset)}):
+            for name in sorted({group.object for group in statistic.groups(ALL)}):
                 mesh = each.data.object_mesh(name)
-                found = statistic.clusters(each.subset, name)
-                still = [Shape(mesh.vertices, mesh.faces, OBJECT), *_dots(statistic.markers.get(name))]
-                tiles.append([render([*still, Shape(c.hand, faces, SKIN)], size=_TILE) for c in found])
+                found = statistic.clusters(ALL, name)
+                still = [Shape(mesh.vertices, mesh.faces, OBJECT), *_dots(statistic.markers.get(name), mesh)]
+                # A hand that is on markers would hide them.
+                hands = [Shape(c.hand, faces, SKIN, 0.6 if c.markers else 1.0) for c in found]
+                tiles.append([render([*still, hand], size=_TILE) for hand in hands])
                 captions.append([f"{c.grasps}" + " ●" * (c.markers > 0) for c in found])
                 lines.append(f"{each.label}\n{name}")
         if not tiles:
@@ -123,11 +131,20 @@ class Clusters(Statistic):
         return tiled(tiles, lines, [f"{k + 1}" for k in range(columns)], captions=captions, size=0.9)
 
 
-def _dots(markers: np.ndarray | None) -> list[Shape]:
+def _distinct(features: np.ndarray) -> int:
+    """How many of (N, F) grasps, one after the other, are unlike all before them."""
+    leaders = features[:1]
+    for one in features[1:]:
+        if (np.sqrt(3 * ((leaders - one) ** 2).mean(1)) > _ALIKE).all():
+            leaders = np.concatenate([leaders, one[None]])
+    return len(leaders)
+
+
+def _dots(markers: np.ndarray | None, mesh: Mesh) -> list[Shape]:
     """Red balls at markers (M, 3), larger than they are, to be seen."""
     if markers is None:
         return []
-    ball = trimesh.creation.icosphere(1, 0.003)
+    ball = trimesh.creation.icosphere(1, max(0.003, 0.025 * float(np.ptp(mesh.vertices, 0).max())))
     vertices = (markers[:, None] + ball.vertices).reshape(-1, 3)
     faces = (len(ball.vertices) * np.arange(len(markers))[:, None, None] + ball.faces).reshape(-1, 3)
     return [Shape(vertices, faces, (0.85, 0.15, 0.1))]

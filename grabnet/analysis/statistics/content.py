@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from grabnet.analysis.frames import Frames, Subset
 from grabnet.analysis.plots import bars, legend, panels
 from grabnet.analysis.statistic import Analysed, Row, Statistic
+from grabnet.data.intents import INTENTS
 
 
 class Content(Statistic):
@@ -28,7 +29,7 @@ class Content(Statistic):
         if groups:
             rows.append(self._row("all", "all", subset))
         for by, field in (("intent", "intents"), ("subject", "subjects"), ("object", "objects")):
-            for name in sorted({getattr(group, by) for group in groups}):
+            for name in sorted({getattr(group, by) for group in groups} - {""}, key=_in_order):
                 rows.append(self._row(by, name, Subset(**(vars(subset) | {field: [name]}))))
         return rows
 
@@ -44,7 +45,7 @@ class Content(Statistic):
             frames = {
                 label: {row["name"]: row["frames"] for row in rows if row["by"] == by} for label, rows in tables.items()
             }
-            names = sorted({name for found in frames.values() for name in found})
+            names = sorted({name for found in frames.values() for name in found}, key=_in_order)
             bars(
                 here,
                 names,
@@ -54,3 +55,9 @@ class Content(Statistic):
             here.set_title(f"by {by}", loc="left", fontsize=9)
         legend(figure, axes[0, 0])
         return figure
+
+
+def _in_order(name: str) -> tuple[int, int, str]:
+    """Intents as the paper lists them; all else by name, s2 before s10."""
+    number = name.lstrip("s")
+    return INTENTS.index(name) if name in INTENTS else 9, int(number) if number.isdecimal() else 0, name

@@ -7,14 +7,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from grabnet.analysis.comparing import compared
+from grabnet.analysis.comparing import compared, minus
 from grabnet.analysis.data_set import DataSet
-from grabnet.analysis.frames import Frames, Subset
+from grabnet.analysis.frames import ALL, Frames, Subset
 from grabnet.analysis.plots import difference_colours, heat_colours, tiled
-from grabnet.analysis.statistic import Analysed, Heat, Row, Statistic
-from grabnet.visual.pictures import Shape, can_render, render
+from grabnet.analysis.statistic import Analysed, Heats, Row, Statistic
+from grabnet.visual.pictures import Shape, can_render, render_views
 
-_SIZE = (260, 260)
+_SIZE = (150, 150)
+_VIEWS = ((-0.45, -1.0, 0.45), (0.45, 1.0, 0.45))  # from the front, and from behind
 _Column = tuple[str, str]  # data set and intent
 
 
@@ -23,7 +24,11 @@ class ObjectHeat(Statistic):
 
     name = "object_heat"
     title = "Contact on objects"
-    about = "Likelihood that a vertex of an object is touched in a contact frame with it, by intent (paper Fig. 5, 6)."
+    about = (
+        "Likelihood that a vertex of an object is touched in a contact frame with it, by intent (paper Fig. 5, 6); "
+        "from the front, and from behind."
+    )
+    by = ("intent", "object")
 
     def add(self, frames: Frames) -> None:
         contact = frames.contact_frames(self.rules.min_lift, self.rules.min_body_vertices)
@@ -68,22 +73,27 @@ class ObjectHeat(Statistic):
                 colours = None if change is None else difference_colours(change, most)
                 line.append(None if colours is None else _tile(data[pair[0][0]], name, colours))
             tiles.append(line)
-        heads = ["\n".join(column) for column in columns] + [_minus(*pair) for pair in pairs]
+        heads = ["\n".join(column) for column in columns] + [minus(*pair).replace(", ", "\n") for pair in pairs]
         scales = [("likelihood of being touched, %", "heat", 0.0, 100 * highest)]
         if pairs and most:
             scales.append(("difference, percentage points", "difference", -100 * most, 100 * most))
-        return tiled(tiles, list(found), heads, scales)
+        return tiled(tiles, list(found), heads, scales, size=2.3)
 
     @classmethod
-    def heats(cls, analysed: Sequence[Analysed]) -> dict[str, Heat]:
-        heats = {}
-        for each in analysed:
-            for name, shares in cls._shares([each]).items():
-                mesh = each.data.object_mesh(name)
-                for (label, intent), share in shares.items():
-                    in_page = intent == "all"  # each takes up to a megabyte
-                    heats[f"{name}, {label}, {intent}"] = Heat(mesh.vertices, mesh.faces, share, in_page=in_page)
-        return heats
+    def heats(cls, analysed: Sequence[Analysed]) -> dict[str, Heats]:
+        data, found = {each.label: each.data for each in analysed}, {}
+        for name, shares in cls._shares(analysed).items():
+            first = next(iter(shares))
+            for column, share in shares.items():
+                is_alike = len(share) == len(shares[first])
+                title = name if is_alike else f"{name} of {column[0]}"
+                if title not in found:
+                    mesh = data[column[0]].object_mesh(name)
+                    found[title] = Heats(mesh.vertices, mesh.faces, "z", {}, {})
+                found[title].shares[", ".join(column)] = share
+            changes = _changes(shares, compared(list(shares), lambda column: column))
+            found[name].changes.update({minus(*pair): change for pair, change in changes.items()})
+        return found
 
     @classmethod
     def _shares(cls, analysed: Sequence[Analysed]) -> dict[str, dict[tuple[str, str], np.ndarray]]:
@@ -91,7 +101,7 @@ class ObjectHeat(Statistic):
         found: dict[str, dict[tuple[str, str], np.ndarray]] = {}
         for each in analysed:
             heat = each.statistics[cls.name]
-            for intent, chosen in heat.by_intent(each.subset):
+            for intent, chosen in heat.by_intent(ALL):
                 for name in sorted({group.object for group in heat.groups(chosen)}):
                     if (share := heat.share(chosen, name)) is not None:
                         found.setdefault(name, {})[each.label, intent] = share
@@ -106,8 +116,4 @@ def _changes(shares: Mapping[_Column, np.ndarray], pairs: Sequence[tuple[_Column
 
 def _tile(data: DataSet, name: str, colours: np.ndarray) -> np.ndarray:
     mesh = data.object_mesh(name)
-    return render([Shape(mesh.vertices, mesh.faces, colours)], size=_SIZE)
-
-
-def _minus(one: tuple[str, str], other: tuple[str, str]) -> str:
-    return f"{one[1]} − {other[1]}\n{one[0]}" if one[0] == other[0] else f"{one[0]} −\n{other[0]}"
+    return np.concatenate(render_views([Shape(mesh.vertices, mesh.faces, colours)], _VIEWS, size=_SIZE), 1)

@@ -11,7 +11,6 @@ from grabnet.analysis.frames import FINGER_PARTS, WHO, Frames, Subset
 from grabnet.analysis.plots import bars, legend, panels
 from grabnet.analysis.statistic import Analysed, Row, Statistic
 
-SHAPES, SIZES = ("cube", "cylinder", "pyramid", "sphere", "torus"), ("small", "medium", "large")
 _WHO = ("right hand", "left hand", "both hands", "head")
 
 
@@ -24,6 +23,7 @@ class ContactShares(Statistic):
         "Share of the contact frames in which each takes part; of fingers and palm, share of those in which the right "
         "hand does (paper 3.5, Fig. S.9)."
     )
+    by = ("intent",)
 
     def add(self, frames: Frames) -> None:
         contact = frames.contact_frames(self.rules.min_lift, self.rules.min_body_vertices)
@@ -60,66 +60,6 @@ class ContactShares(Statistic):
                 here.set_ylim(0, 115)
                 here.set_yticks(range(0, 101, 25))
                 here.set_title(intent, loc="left", fontsize=9)
-        legend(figure, axes[0, 0])
-        return figure
-
-
-class SizeEffect(ContactShares):
-    """Contact by size of the object and of the hand, for the primitive shapes (paper S.12, Fig. S.12)."""
-
-    name = "sizes"
-    title = "Size of object and hand"
-    about = (
-        "As above, for the five primitive shapes by their size, of all subjects and of those with the smallest and the "
-        "biggest hand (paper S.12, Fig. S.12)."
-    )
-
-    def add(self, frames: Frames) -> None:
-        super().add(frames)
-        self.count(frames.group, "hand", np.array([frames.hand_length, 1.0]))
-
-    def result(self, subset: Subset) -> list[Row]:
-        hands = self._hands(subset)
-        by_size = sorted(hands, key=hands.get)
-        who: dict[str, Subset] = {"all": subset}
-        if len(by_size) > 1:
-            who |= {
-                f"{word} hand ({name}, {1000 * hands[name]:.0f} mm)": Subset(subset.intents, [name], subset.objects)
-                for word, name in (("smallest", by_size[0]), ("biggest", by_size[-1]))
-            }
-        rows = []
-        for subject, chosen in who.items():
-            there = {group.object for group in self.groups(chosen)}
-            for shape in SHAPES:
-                for size in (size for size in SIZES if shape + size in there):
-                    found = self.shares(Subset(chosen.intents, chosen.subjects, [shape + size]))
-                    rows.append({"subjects": subject, "shape": shape, "size": size} | found)
-        return rows
-
-    def _hands(self, subset: Subset) -> dict[str, float]:
-        """Length of each subject's hand, metres."""
-        subjects = {group.subject for group in self.groups(subset)}
-        sums = {name: self.total("hand", Subset(subjects=[name])) for name in subjects}
-        return {name: float(length / n) for name, (length, n) in sums.items()}
-
-    @classmethod
-    def draw(cls, analysed: Sequence[Analysed]) -> Figure | None:
-        tables = {each.label: each.rows(cls) for each in analysed}
-        who = {label: list(dict.fromkeys(row["subjects"] for row in rows)) for label, rows in tables.items()}
-        lines = [(label, subject) for label, names in who.items() for subject in names]
-        if not lines:
-            return None
-        figure, axes = panels(len(lines), len(SHAPES), 2.2, 2.1)
-        for line, (label, subject) in zip(axes, lines, strict=True):
-            for here, shape in zip(line, SHAPES, strict=True):
-                rows = {r["size"]: r for r in tables[label] if (r["subjects"], r["shape"]) == (subject, shape)}
-                series = {
-                    who: [rows[size][f"{who} [%]"] if size in rows else np.nan for size in SIZES]
-                    for who in ("right hand", "left hand", "both hands")
-                }
-                bars(here, SIZES, series, f"{label}\n{subject}\n% of contact frames" if shape == SHAPES[0] else "")
-                here.set_ylim(0, 119)
-                here.set_title(shape, fontsize=9)
         legend(figure, axes[0, 0])
         return figure
 

@@ -25,6 +25,8 @@ class Thresholds(Statistic):
         "vertices on (paper S.11, Fig. S.11). Counted from the stored labels; nothing is annotated again."
     )
 
+    by = ("intent",)
+
     def add(self, frames: Frames) -> None:
         parts = _WHO | FINGER_PARTS
         counts = np.stack([frames.counts[:, list(labels)].sum(1) for labels in parts.values()], 1)  # (T, parts)

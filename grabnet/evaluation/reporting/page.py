@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from grabnet.cli.numbers import digits
 from grabnet.cli.progress import track
 from grabnet.data.splits import SPLITS
 from grabnet.evaluation.bootstrap import Estimate
@@ -20,7 +21,6 @@ from grabnet.evaluation.metrics import ALL, Metric, Section
 from grabnet.evaluation.reporting import published
 from grabnet.evaluation.reporting.findings import Findings
 from grabnet.evaluation.reporting.plots import COLOURS, distributions, intervals, parts
-from grabnet.evaluation.reporting.tables import digits
 from grabnet.evaluation.reporting.views import grasp_view, heat_view
 from grabnet.evaluation.summary import expected_order, find
 from grabnet.io.files import replacing

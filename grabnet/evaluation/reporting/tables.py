@@ -10,20 +10,11 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from grabnet.cli.numbers import digits
 from grabnet.evaluation.metrics import ALL, Metric
 from grabnet.evaluation.reporting.findings import Findings
 from grabnet.evaluation.summary import find
 from grabnet.io.files import replacing, write_json
-
-
-def digits(value: float) -> str:
-    """Return a number with three significant digits, and at most three after the point."""
-    if not math.isfinite(value):
-        return "–"
-    size = abs(value)
-    if size < 0.0005:
-        return "0"
-    return f"{value:.{0 if size >= 99.95 else 1 if size >= 9.995 else 2 if size >= 0.0995 else 3}f}"
 
 
 def write_json_tables(path: Path, findings: Findings) -> None:
