@@ -1,13 +1,14 @@
-"""The command `mosh`, and `mosh evaluate`."""
+"""The command `mosh`, and those of its own: `mosh synthesise`, `mosh evaluate`."""
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Callable
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from grabnet.cli.entry import hydra_entry
+from grabnet.cli.subcommands import choose
 
 PATHS = ("capture", "layout", "subject", "out", "models", "objects", "meshes")
 
@@ -17,9 +18,21 @@ def solve(cfg: DictConfig) -> int:
     """Make recordings of body, hands, face and object from motion-capture markers.
 
     grabnet mosh capture=<file or folder> [layout=FILE] [subject=FILE.ply] [objects=FILE] [out=DIR] [any value below]
+    grabnet mosh synthesise [any of its values] # captures of recordings, whose truth is known
     grabnet mosh evaluate [any of its values]   # how accurate it is, on synthetic captures
     """
     from grabnet.mosh.run import run
+
+    return run(instantiate(cfg, _convert_="all"))
+
+
+@hydra_entry("mosh/synthesise", paths=("root", "out", "layout", "models"), folders=["out"])
+def synthesise(cfg: DictConfig) -> int:
+    """Make c3d files of recordings, as a motion-capture system would have seen them, and keep the truth beside them.
+
+    grabnet mosh synthesise [root=DIR] [recordings=[s8/mug_lift_1]] [out=DIR] [any value below]
+    """
+    from grabnet.mosh.synthesising import run
 
     return run(instantiate(cfg, _convert_="all"))
 
@@ -35,8 +48,9 @@ def evaluate(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="object"))
 
 
+COMMANDS: dict[str, Callable[[], int]] = {"synthesise": synthesise, "evaluate": evaluate}
+
+
 def main() -> int:
-    if sys.argv[1:2] == ["evaluate"]:
-        del sys.argv[1]
-        return evaluate()
-    return solve()
+    """Solve captures, or run the command that the first argument names, on the arguments after it."""
+    return choose("mosh", COMMANDS, "", default=solve)

@@ -19,6 +19,7 @@ from grabnet.io.files import existing, write_bytes
 DISTANCES = {"body": 0.0095, "face": 0.0, "finger": 0.0}
 # Fewer than this many body markers don't determine where the pelvis is and how it is turned.
 _FEWEST = 6
+_DIGITS = 5  # of positions on objects, after the point
 
 
 @dataclass(frozen=True)
@@ -191,7 +192,8 @@ def object_layout(name: str, labels: Sequence[str], positions: np.ndarray) -> Ob
 
 
 def spread_markers(name: str, mesh: Mesh, n: int = 8, seed: int = 0) -> ObjectLayout:
-    """Place markers on an object, far from each other: every next one farthest from those before.
+    """Place markers on an object, far from each other: every next one farthest from those before. Positions have as
+    many digits as in the file of `write_object_layouts`.
 
     Args:
         name: of the object; labels are m1, m2, ….
@@ -205,7 +207,7 @@ def spread_markers(name: str, mesh: Mesh, n: int = 8, seed: int = 0) -> ObjectLa
     for _ in range(n - 1):
         distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
         chosen.append(int(distance.argmax()))
-    return object_layout(name, [f"m{k}" for k in range(1, n + 1)], points[chosen])
+    return object_layout(name, [f"m{k}" for k in range(1, n + 1)], points[chosen].round(_DIGITS))
 
 
 def write_object_layouts(path: str | Path, layouts: Iterable[ObjectLayout]) -> None:
@@ -214,7 +216,7 @@ def write_object_layouts(path: str | Path, layouts: Iterable[ObjectLayout]) -> N
     for layout in layouts:
         lines.append(f"{layout.name}:")
         for label, position in zip(layout.labels, layout.positions, strict=True):
-            lines.append(f"  {label}: [{', '.join(f'{x:.5f}' for x in position)}]")
+            lines.append(f"  {label}: [{', '.join(f'{x:.{_DIGITS}f}' for x in position)}]")
     write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 

@@ -135,7 +135,7 @@ def test_a_capture_that_fails_leaves_the_others(lab, tmp_path, capsys):
     said = capsys.readouterr().err
     assert "error: s9/empty_lift_1:" in said and "are missing in all 4 frames" in said
     assert (tmp_path / "out/grab/s9/box_lift_1.npz").exists()
-    assert "empty_lift_1" in (tmp_path / "out/mosh/failures.json").read_text()
+    assert "empty_lift_1" in (tmp_path / "out/mosh/s9.failures.json").read_text()
 
 
 def test_layouts_are_shipped():
