@@ -11,7 +11,6 @@ import pytest
 from grabnet.errors import UserError
 from grabnet.mosh.captures import find_captures, read_capture
 from grabnet.mosh.markers import markers_of, scale_of
-from grabnet.mosh.tables import read_table
 
 RATE = 120.0
 LABELS = ("s1:LKNE", "s1:RKNE", "mug:m1")
@@ -156,68 +155,6 @@ def test_up_is_z_whatever_the_file_has():
     assert turned[0, 0].tolist() == [0, 0, 1]  # what was up
     sides = np.linalg.det(places[0]), np.linalg.det(turned[0])
     assert sides[0] == pytest.approx(sides[1]), "turned, not mirrored"
-
-
-def tables() -> dict[str, str]:
-    places = 1e3 * positions()
-    cells = [["" if np.isnan(x) else f"{x:.4f}" for x in frame.ravel()] for frame in places]
-    names = [label.partition(":")[2] for label in LABELS]
-    axes = [f"{axis}{k}" for k in (1, 2, 3) for axis in "XYZ"]
-    trc = [
-        "PathFileType\t4\t(X/Y/Z)\tx.trc",
-        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
-        "120\t120\t5\t3\tmm",
-        "Frame#\tTime\t" + "\t\t\t".join(names),
-        "\t\t" + "\t".join(axes),
-        *("\t".join([str(t + 1), f"{t / 120:.5f}", *row]) for t, row in enumerate(cells)),
-    ]
-    vicon = [
-        "Trajectories",
-        "120",
-        ",," + ",,,".join(names),
-        "Frame,Sub Frame," + ",".join(["X,Y,Z"] * 3),
-        ",," + ",".join(["mm"] * 9),
-        *(",".join([str(t + 1), "0", *row]) for t, row in enumerate(cells)),
-        "",
-        "Devices",
-    ]
-    qualisys = [
-        "NO_OF_FRAMES\t5",
-        "FREQUENCY\t120",
-        "MARKER_NAMES\t" + "\t".join(names),
-        *("\t".join(row) for row in cells),
-    ]
-    plain = [
-        "frame,time," + ",".join(f"{name}_{axis}" for name in names for axis in "xyz"),
-        *(",".join([str(t), f"{t / 120:.6f}", *row]) for t, row in enumerate(cells)),
-    ]
-    return {name: "\n".join(rows) + "\n" for name, rows in
-            {"a.trc": trc, "b.csv": vicon, "c.tsv": qualisys, "d.csv": plain}.items()}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", ["a.trc", "b.csv", "c.tsv", "d.csv"])
-def test_tables_come_back_in_metres(tmp_path, name):
-    path = tmp_path / name
-    path.write_text(tables()[name])
-    found = read_table(path)
-    assert found.labels == ("LKNE", "RKNE", "m1") and found.rate == pytest.approx(RATE, rel=1e-3)
-    np.testing.assert_allclose(found.positions, positions(), atol=1e-6)
-
-
-def test_tables_that_cannot_be_read(tmp_path):
-    path = tmp_path / "x.csv"
-    for text, sentence in (
-        ("a,b\n1,2\n", "no marker table that is known"),
-        ("A_x,A_y,A_z\n1,2,3\n", "how many frames it has per second"),
-        ("A_x,A_z,A_y\n1,2,3\n", "must come as x, y, z"),
-        ("Trajectories\n120\n", "cut off within its header"),
-    ):
-        path.write_text(text)
-        with pytest.raises(UserError, match=sentence):
-            read_table(path)
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(UserError, match="no text in UTF-8"):
-        read_table(path)
 
 
 def test_captures_of_a_folder(tmp_path):

@@ -107,7 +107,7 @@ def test_captures_become_recordings_and_are_not_solved_twice(lab, tmp_path, acto
         (("layout=nowhere.yaml",), "Layout nowhere.yaml does not exist"),
         (("capture=/no/where",), "Capture /no/where does not exist"),
         (("reading.prefix=s3",), "No marker has the prefix 's3'; the labels' prefixes are s9, box"),
-        (("reading.unit=mm",), "which no capture does: give the right unit=mm, cm or m"),
+        (("reading.unit=mm",), "which no capture does: give the right reading.unit=mm, cm or m"),
         (("reading.up=w",), "up is 'w'; it can be x, y, z"),
         (("stage_one.frames=0",), "frames is 0; it must be at least 1"),
         (("gender=x",), "gender is 'x'; it can be male, female, neutral"),
