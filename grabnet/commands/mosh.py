@@ -19,6 +19,7 @@ def solve(cfg: DictConfig) -> int:
 
     grabnet mosh capture=<file or folder> [layout=FILE] [subject=FILE.ply] [objects=FILE] [out=DIR] [any value below]
     grabnet mosh synthesise [any of its values] # captures of recordings, whose truth is known
+    grabnet mosh judge [any of its values]      # how far solved recordings are from the truth
     grabnet mosh evaluate [any of its values]   # how accurate it is, on synthetic captures
     """
     from grabnet.mosh.run import run
@@ -37,6 +38,17 @@ def synthesise(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="all"))
 
 
+@hydra_entry("mosh/judge", paths=("truth", "solved", "contact", "models", "output"), files=["output"])
+def judge(cfg: DictConfig) -> int:
+    """Compare solved recordings with those that were captured: bodies, objects and contact.
+
+    grabnet mosh judge truth=DIR solved=DIR [contact=DIR] [any value below]
+    """
+    from grabnet.mosh.judging import run
+
+    return run(instantiate(cfg, _convert_="all"))
+
+
 @hydra_entry("mosh/evaluate", paths=("root", "layout", "output"), folders=["output"])
 def evaluate(cfg: DictConfig) -> int:
     """Measure how accurate mosh is, on synthetic captures of recordings.
@@ -48,7 +60,7 @@ def evaluate(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="object"))
 
 
-COMMANDS: dict[str, Callable[[], int]] = {"synthesise": synthesise, "evaluate": evaluate}
+COMMANDS: dict[str, Callable[[], int]] = {"synthesise": synthesise, "judge": judge, "evaluate": evaluate}
 
 
 def main() -> int:

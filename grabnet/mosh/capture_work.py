@@ -25,6 +25,7 @@ from grabnet.io.state import Finite, read_json
 from grabnet.mosh.assembling import NO_OBJECT, assemble
 from grabnet.mosh.attachment import Attachment
 from grabnet.mosh.captures import read_capture
+from grabnet.mosh.choosing import refuse_other_size
 from grabnet.mosh.layouts import Layout, ObjectLayout, read_object_layouts
 from grabnet.mosh.markers import MarkerData
 from grabnet.mosh.priors import PriorConfig, joint_prior
@@ -171,6 +172,7 @@ class CaptureWork:
                 getattr(torch, self.dtype),
             )
             trunk = on_trunk(attachment)
+            refuse_other_size(observed, latent.numpy(), trunk.numpy(), path)
             prior = joint_prior(body, self.prior)
             solving = time.process_time()
             pose = stage_two(attachment, torch.as_tensor(observed), markers.rate, prior, self.prior, self.config, trunk)
