@@ -1,4 +1,4 @@
-"""The command `mosh`, and those of its own: `mosh synthesise`, `mosh evaluate`."""
+"""The command `mosh`, and those of its own, such as `mosh place`."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ def solve(cfg: DictConfig) -> int:
     """Make recordings of body, hands, face and object from motion-capture markers.
 
     grabnet mosh capture=<file or folder> [layout=FILE] [subject=FILE.ply] [objects=FILE] [out=DIR] [any value below]
+    grabnet mosh place [any of its values]      # a layout on any body model, by names of anatomical places
+    grabnet mosh draw [any of its values]       # picture and page of a layout
     grabnet mosh synthesise [any of its values] # captures of recordings, whose truth is known
     grabnet mosh judge [any of its values]      # how far solved recordings are from the truth
     grabnet mosh evaluate [any of its values]   # how accurate it is, on synthetic captures
@@ -25,6 +27,28 @@ def solve(cfg: DictConfig) -> int:
     from grabnet.mosh.run import run
 
     return run(instantiate(cfg, _convert_="all"))
+
+
+@hydra_entry("mosh/place", paths=("markers", "subject", "models", "output"), files=["output"])
+def place(cfg: DictConfig) -> int:
+    """Place the markers of a layout on a body model by names of anatomical places, and draw them.
+
+    grabnet mosh place [markers=grab99] [models=DIR] [gender=male] [output=FILE.yaml] [any value below]
+    """
+    from grabnet.mosh.layout_commands import place
+
+    return place(instantiate(cfg, _convert_="all"))
+
+
+@hydra_entry("mosh/draw", paths=("layout", "subject", "models", "output"), files=["output"])
+def draw(cfg: DictConfig) -> int:
+    """Draw a layout on its body model: a picture, and a page that lists the markers.
+
+    grabnet mosh draw [layout=FILE] [models=DIR] [gender=male] [output=FILE.png] [any value below]
+    """
+    from grabnet.mosh.layout_commands import draw
+
+    return draw(instantiate(cfg, _convert_="all"))
 
 
 @hydra_entry("mosh/synthesise", paths=("root", "out", "layout", "models"), folders=["out"])
@@ -60,7 +84,13 @@ def evaluate(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="object"))
 
 
-COMMANDS: dict[str, Callable[[], int]] = {"synthesise": synthesise, "judge": judge, "evaluate": evaluate}
+COMMANDS: dict[str, Callable[[], int]] = {
+    "place": place,
+    "draw": draw,
+    "synthesise": synthesise,
+    "judge": judge,
+    "evaluate": evaluate,
+}
 
 
 def main() -> int:

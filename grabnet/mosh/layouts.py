@@ -127,7 +127,7 @@ def read_layout(path: str | Path, n_vertices: int | None = None, n_faces: np.nda
     Raises:
         UserError: no such file, no YAML, or not in this form; for another model; a place that it does not have.
     """
-    content = _mapping(path, "Layout")
+    content = read_mapping(path, "Layout")
     if not isinstance(markers := content.get("markers"), dict) or not markers:
         raise UserError(f"{path} has no markers: label → type and vertex.")
     total = content.get("vertices")
@@ -164,7 +164,7 @@ def read_object_layouts(path: str | Path) -> dict[str, ObjectLayout]:
         UserError: no such file, or not in this form; fewer than 3 markers, or all of them on one line.
     """
     layouts = {}
-    for name, markers in _mapping(path, "Layout of objects").items():
+    for name, markers in read_mapping(path, "Layout of objects").items():
         if not isinstance(markers, dict):
             raise UserError(f"{path}: {name} must be label → [x, y, z].")
         positions = []
@@ -220,15 +220,33 @@ def write_object_layouts(path: str | Path, layouts: Iterable[ObjectLayout]) -> N
     write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 
-def _mapping(path: str | Path, what: str) -> dict[str, Any]:
+class _Loader(yaml.SafeLoader):
+    """Refuses a key that occurs twice, of which YAML keeps the last, and those that YAML reads as true or false."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        for key, (written, _) in zip(keys, node.value, strict=True):
+            if isinstance(key, bool) or key is None:
+                raise yaml.YAMLError(f"'{written.value}' is not read as a name: put it in quotes")
+            if not isinstance(key, str | int | float) or keys.count(key) > 1:
+                raise yaml.YAMLError(f"'{written.value}' occurs twice, or is no name")
+        return super().construct_mapping(node, deep)
+
+
+def read_mapping(path: str | Path, what: str) -> dict[str, Any]:
+    """Read a YAML file that is a mapping; `what` it is, for messages.
+
+    Raises:
+        UserError: no such file; no YAML, or no mapping; a key that occurs twice.
+    """
     path = existing(path, what)
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is no YAML ({' '.join(str(error).split())[:120]}).") from None
+        content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        raise UserError(f"{path} is no YAML that can be used ({' '.join(str(error).split())[:160]}).") from None
     if not isinstance(content, dict):
-        raise UserError(f"{path} is no layout: it must be a mapping.")
-    return content
+        raise UserError(f"{path} is no {what[0].lower() + what[1:]}: it must be a mapping.")
+    return {str(key): value for key, value in content.items()}
 
 
 def _attached(path: object, label: str, place: Any, n_vertices: int, faces: np.ndarray | None) -> Attached:
