@@ -19,13 +19,17 @@ def choose(
         program: whose commands they are, as in "study".
         commands: by name; each reads the command line and returns the exit code.
         about: what `--help` prints where no command is named.
-        default: what is run where the first argument is an option or a value of its own (`capture=…`).
+        default: what is run where the first argument is no command's name, nor like one.
 
     Returns:
         the command's exit code; 2 where there is no such command.
     """
     name, *arguments = sys.argv[1:] or ["--help"]
-    if default is not None and (name.startswith(("-", "~", "+")) or "=" in name):
+    if name in commands:
+        sys.argv = [f"grabnet {program} {name}", *arguments]
+        return commands[name]()
+    close = [] if "=" in name else difflib.get_close_matches(name, commands, n=1)
+    if default is not None and not close:
         return default()
     if name in ("--help", "-h"):
         print(f"{about}\n{EXIT_CODES}")
@@ -33,10 +37,6 @@ def choose(
     if name in ("-sc", "--shell-completion"):
         print(" ".join(commands))
         return 0
-    if name not in commands:
-        close = difflib.get_close_matches(name, commands, n=1)
-        hint = f"did you mean {close[0]}?" if close else f"it can be {', '.join(commands)}."
-        say(f"There is no command '{program} {name}'; {hint}")
-        return 2
-    sys.argv = [f"grabnet {program} {name}", *arguments]
-    return commands[name]()
+    hint = f"did you mean {close[0]}?" if close else f"it can be {', '.join(commands)}."
+    say(f"There is no command '{program} {name}'; {hint}")
+    return 2

@@ -10,10 +10,18 @@ from omegaconf import DictConfig
 from grabnet.cli.entry import hydra_entry
 from grabnet.cli.subcommands import choose
 
-PATHS = ("capture", "layout", "subject", "out", "models", "objects", "meshes")
+# By command; that of `grabnet mosh` itself first.
+PATHS = {
+    "": ("capture", "layout", "subject", "out", "models", "objects", "meshes"),
+    "place": ("markers", "subject", "models", "output"),
+    "draw": ("layout", "subject", "models", "output"),
+    "synthesise": ("root", "out", "layout", "models"),
+    "judge": ("truth", "solved", "contact", "models", "output"),
+    "evaluate": ("root", "layout", "output"),
+}
 
 
-@hydra_entry("mosh/mosh", paths=PATHS, folders=["out"])
+@hydra_entry("mosh/mosh", paths=PATHS[""], folders=["out"])
 def solve(cfg: DictConfig) -> int:
     """Make recordings of body, hands, face and object from motion-capture markers.
 
@@ -29,7 +37,7 @@ def solve(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="all"))
 
 
-@hydra_entry("mosh/place", paths=("markers", "subject", "models", "output"), files=["output"])
+@hydra_entry("mosh/place", paths=PATHS["place"], files=["output"])
 def place(cfg: DictConfig) -> int:
     """Place the markers of a layout on a body model by names of anatomical places, and draw them.
 
@@ -40,7 +48,7 @@ def place(cfg: DictConfig) -> int:
     return place(instantiate(cfg, _convert_="all"))
 
 
-@hydra_entry("mosh/draw", paths=("layout", "subject", "models", "output"), files=["output"])
+@hydra_entry("mosh/draw", paths=PATHS["draw"], files=["output"])
 def draw(cfg: DictConfig) -> int:
     """Draw a layout on its body model: a picture, and a page that lists the markers.
 
@@ -51,7 +59,7 @@ def draw(cfg: DictConfig) -> int:
     return draw(instantiate(cfg, _convert_="all"))
 
 
-@hydra_entry("mosh/synthesise", paths=("root", "out", "layout", "models"), folders=["out"])
+@hydra_entry("mosh/synthesise", paths=PATHS["synthesise"], folders=["out"])
 def synthesise(cfg: DictConfig) -> int:
     """Make c3d files of recordings, as a motion-capture system would have seen them, and keep the truth beside them.
 
@@ -62,7 +70,7 @@ def synthesise(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="all"))
 
 
-@hydra_entry("mosh/judge", paths=("truth", "solved", "contact", "models", "output"), files=["output"])
+@hydra_entry("mosh/judge", paths=PATHS["judge"], files=["output"])
 def judge(cfg: DictConfig) -> int:
     """Compare solved recordings with those that were captured: bodies, objects and contact.
 
@@ -73,7 +81,7 @@ def judge(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="all"))
 
 
-@hydra_entry("mosh/evaluate", paths=("root", "layout", "output"), folders=["output"])
+@hydra_entry("mosh/evaluate", paths=PATHS["evaluate"], folders=["output"])
 def evaluate(cfg: DictConfig) -> int:
     """Measure how accurate mosh is, on synthetic captures of recordings.
 
