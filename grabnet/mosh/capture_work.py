@@ -263,8 +263,7 @@ def read_report(root: Path, name: str) -> dict[str, Any]:
 
 
 def _travel(markers: MarkerData) -> float:
-    middle = np.nanmean(np.where(markers.seen[..., None], markers.positions, np.nan), 1)
-    middle = middle[np.isfinite(middle[:, 0])]
+    middle = np.nanmean(markers.positions[markers.seen.any(1)], 1)
     return float(np.ptp(middle, axis=0).max()) if len(middle) else -1.0
 
 

@@ -49,8 +49,8 @@ def choose_frames(positions: np.ndarray, resting: np.ndarray, trunk: np.ndarray,
     laid = np.where(there[..., None], laid.numpy(), np.nan)
     usable = np.isfinite(laid[:, trunk][..., 0]).any(1)
     candidates, laid, there = candidates[usable], laid[usable], there[usable]
-    laid = np.where(there[..., None], laid, np.nanmean(laid, 0) if len(laid) else 0.0)
-    laid = np.nan_to_num(laid)
+    middle = np.nansum(laid, 0) / np.maximum(1, there.sum(0))[:, None]  # 0 of markers that none of the frames shows
+    laid = np.where(there[..., None], laid, middle)
     # A swapped label or a ghost is far from everything: no frame is chosen for the sake of one.
     laid = np.clip(laid, *np.nanquantile(laid, (0.02, 0.98), axis=0))
     chosen = [int(there.sum(1).argmax())]
