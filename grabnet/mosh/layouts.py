@@ -144,7 +144,7 @@ def read_layout(path: str | Path, n_vertices: int | None = None, n_faces: np.nda
 
 def write_layout(path: str | Path, layout: Layout, comments: Mapping[str, str] | None = None) -> None:
     """Write a layout as YAML, one marker a line, each with a comment on where it is."""
-    lines = [f"name: {layout.name}", f"vertices: {layout.n_vertices} # of the body model", "markers:"]
+    lines = [f"name: {_scalar(layout.name)}", f"vertices: {layout.n_vertices} # of the body model", "markers:"]
     for marker in layout.markers:
         place = f"vertex: {marker.vertices[0]}"
         if len(set(marker.vertices)) > 1:
@@ -153,7 +153,7 @@ def write_layout(path: str | Path, layout: Layout, comments: Mapping[str, str] |
         if marker.distance != DISTANCES[marker.type]:
             place += f", distance: {marker.distance:g}"
         comment = f" # {comments[marker.label]}" if comments and marker.label in comments else ""
-        lines.append(f"  {marker.label}: {{type: {marker.type}, {place}}}{comment}")
+        lines.append(f"  {_scalar(marker.label)}: {{type: {marker.type}, {place}}}{comment}")
     write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 
@@ -214,10 +214,15 @@ def write_object_layouts(path: str | Path, layouts: Iterable[ObjectLayout]) -> N
     """Write where markers sit on objects; `read_object_layouts` reads it."""
     lines = ["# Markers of objects: label → position in the object's own frame, metres."]
     for layout in layouts:
-        lines.append(f"{layout.name}:")
+        lines.append(f"{_scalar(layout.name)}:")
         for label, position in zip(layout.labels, layout.positions, strict=True):
-            lines.append(f"  {label}: [{', '.join(f'{x:.{_DIGITS}f}' for x in position)}]")
+            lines.append(f"  {_scalar(label)}: [{', '.join(f'{x:.{_DIGITS}f}' for x in position)}]")
     write_bytes(path, ("\n".join(lines) + "\n").encode())
+
+
+def _scalar(text: str) -> str:
+    """A text as YAML has it, in quotes where it needs them."""
+    return yaml.safe_dump(text, allow_unicode=True, width=1000).splitlines()[0]
 
 
 class _Loader(yaml.SafeLoader):

@@ -1,4 +1,4 @@
-"""The whole way round: recordings, captures of them, recordings solved of these, contact, frames, a network."""
+"""The whole way round: recordings, captures of them, recordings solved of these, contact, training frames."""
 
 from __future__ import annotations
 
@@ -20,12 +20,10 @@ from grabnet.mosh.layouts import read_object_layouts
 from grabnet.mosh.run import run as solve
 from grabnet.mosh.synthesising import run as synthesise
 from grabnet.preprocess.run import preprocess
-from grabnet.training.run import train
 from tests.mosh.conftest import Actor
 from tests.mosh.recorded import RATE, record
-from tests.tiny import tiny_overrides
 
-FRAMES = 16
+FRAMES = 12
 NAMES = ("s8/ball_lift_1", "s8/can_lift_1", "s9/ring_pass_1")
 SOLVER = ("stage_one.iterations=6", "stage_one.annealing=[1.0]", "stage_one.frames=6")
 
@@ -58,7 +56,7 @@ def solved(captured: Path, out: Path, name: str) -> int:
     values = [
         f"capture={captured / 'captures' / name}", f"name={name}", "gender=male", f"out={out}", "workers=1",
         f"subject={tools / f'subject_meshes/male/{name}.ply'}", f"objects={captured / 'objects.yaml'}",
-        f"meshes={tools / 'object_meshes/contact_meshes'}", "pictures=false", "quiet=true", *SOLVER,
+        f"meshes={tools / 'object_meshes/contact_meshes'}", "pictures=false", "quiet=true", *SOLVER, "object_smooth=0",
     ]  # fmt: skip
     return solve(configured("mosh/mosh", *values))
 
@@ -168,12 +166,9 @@ def test_the_circle(captured, tmp_path, cache_dir, capsys):
     assert set(judged["recordings"]) == set(NAMES) and not judged["failed"]
     whole = judged["all"]
     assert whole["part_f1"] > 0.85 and whole["part_agreement"] > 0.85, whole
-    assert whole["vertices"] < 4 and whole["places"] < 4 and whole["object"] < 1 and whole["turn"] < 2, whole
-    run = tiny_overrides(
-        tmp_path / "frames", tmp_path / "run", cache_dir, "coarsenet", "trainer.max_epochs=1", "quiet=true"
-    )
-    train(compose("train", run))
-    assert (tmp_path / "run/model.safetensors").exists()
+    assert whole["vertices"] < 4 and whole["places"] < 4 and whole["object"] < 3 and whole["turn"] < 5, whole
+    card = json.loads((tmp_path / "frames/card.json").read_text())
+    assert set(card["frames"]["by_subject"]) == {"s8", "s9"} and card["frames"]["in_all"] > FRAMES
 
 
 def test_what_cannot_be_compared_is_refused(captured, tmp_path, capsys):
