@@ -130,10 +130,10 @@ def test_mosh(call, tmp_path):
 def test_mosh_of_recordings(call, tmp_path):
     """Captures of a recording, and the recording beside itself."""
     record(tmp_path / "recorded", {"s9/ball_lift_1": Actor(frames=2)})
-    places = [f"root={tmp_path / 'recorded'}", f"out={tmp_path / 'made (1)'}", "workers=1", "quiet=false"]
+    places = [f"root={tmp_path / 'recorded'}", f"out='{tmp_path / 'made (1)'}'", "workers=1", "quiet=false"]
     code, out, err = call("mosh synthesise", *places, "recordings=[s9/ball_lift_1]", "rig.heights=[1.0]")
     assert code == 0 and "s9/ball_lift_1: 2 frames" in out and "Making captures: 0 of 1" in err
-    both = [f"truth={tmp_path / 'made (1)'}", f"solved={tmp_path / 'recorded'}", f"contact={tmp_path / 'recorded'}"]
+    both = [f"truth='{tmp_path / 'made (1)'}'", f"solved={tmp_path / 'recorded'}", f"contact={tmp_path / 'recorded'}"]
     code, out, err = call("mosh judge", *both, f"output={tmp_path / 'a.json'}", "quiet=false")
     assert code == 0 and "Comparing recordings: 0 of 1" in err
     whole = json.loads((tmp_path / "a.json").read_text())["all"]
@@ -141,7 +141,7 @@ def test_mosh_of_recordings(call, tmp_path):
 
 
 def test_mosh_layouts(call, tmp_path):
-    code, out, _ = call("mosh place", "markers=plug_in_gait", f"output={tmp_path / 'a (1).yaml'}")
+    code, out, _ = call("mosh place", "markers=plug_in_gait", f"output='{tmp_path / 'a (1).yaml'}'")
     assert code == 0 and "39 markers are in" in out and (tmp_path / "a (1).html").exists()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import ezc3d
@@ -132,6 +133,49 @@ def test_damaged_and_foreign_files_are_refused(c3d, tmp_path):
     with pytest.raises(UserError, match="is no capture: its suffix"):
         (tmp_path / "x.txt").write_text("")
         read_capture(tmp_path / "x.txt")
+
+
+def header(path: Path, first: int, last: int) -> bytes:
+    """The file's bytes with other numbers of the first and last frame in its header."""
+    whole = path.read_bytes()
+    return whole[:6] + struct.pack("<2H", first, last) + whole[10:]
+
+
+@pytest.mark.parametrize(("first", "last"), [(1, 0), (0, 0), (1, 5), (1, 65535)])
+def test_files_that_end_before_their_frames(c3d, first, last):
+    path = c3d()
+    start = 512 * (path.read_bytes()[16] - 1)
+    path.write_bytes(header(path, first, last)[:start])
+    with pytest.raises(UserError, match="holds no frames: it ends where they should start"):
+        read_capture(path)
+
+
+def test_files_whose_last_frame_is_before_the_first(c3d):
+    path = c3d()
+    path.write_bytes(header(path, 2, 1))
+    with pytest.raises(UserError, match="holds 0 frames"):
+        read_capture(path)
+
+
+def test_long_files_that_are_cut_off_are_known_by_their_parameters(c3d):
+    """Their header cannot say how many frames they have."""
+    path = c3d(places=positions(300))
+    path.write_bytes(header(path, 1, 65535)[:-6000])
+    with pytest.raises(UserError, match="is cut off: it has"):
+        read_capture(path)
+
+
+def test_files_longer_than_the_reader_reads_are_refused(c3d):
+    places = np.full((65_535, 1, 3), 0.5)
+    places[:, :, 0] = np.linspace(0, 1, 65_535)[:, None]
+    path = c3d(labels=LABELS[:1], places=places)
+    assert len(read_capture(path)) == 65_535
+    with path.open("ab") as file:
+        file.write(bytes(16 * 100))
+    with pytest.raises(UserError, match="has more than the 65,535 frames"):
+        read_capture(path)
+    with pytest.raises(UserError, match="would have 65,536 frames; a c3d file takes 65,535"):
+        c3d(labels=LABELS[:1], places=np.zeros((65_536, 1, 3)))
 
 
 def test_what_no_file_may_hold():
