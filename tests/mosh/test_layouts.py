@@ -28,6 +28,7 @@ from grabnet.mosh.placing import TYPE_COLORS, marker_positions, place_layout
 from grabnet.mosh.run import run
 from grabnet.visual.pictures import can_render
 from tests.mosh.conftest import LAYOUTS, write_csv
+from tests.readme import ROOT, blocks
 
 
 def test_the_shipped_layout_has_the_markers_of_grab(actor):
@@ -206,6 +207,17 @@ def test_places_that_cannot_be(tmp_path, text, sentence):
     with pytest.raises(UserError, match=sentence):
         layout_commands.place(PlaceConfig(str(tmp_path / "p.yaml"), "neutral", None, None, str(tmp_path / "out.yaml")))
     assert not (tmp_path / "out.yaml").exists()
+
+
+def test_the_examples_of_the_document_are_as_files_are(actor, tmp_path):
+    layout, places = blocks("yaml", (ROOT / "docs/mosh.md").read_text())
+    (tmp_path / "l.yaml").write_text(layout)
+    found = {marker.label: marker for marker in read_layout(tmp_path / "l.yaml", 13718).markers}
+    shipped_ = {marker.label: marker for marker in actor.layout.markers}
+    assert found["LKNE"] == shipped_["LKNE"] and found["NOSE"] == shipped_["NOSE"]
+    assert found["LIND3"].weights == (0.2, 0.3, 0.5) and found["LIND3"].distance == 0.001
+    (tmp_path / "p.yaml").write_text(places)
+    assert read_places(str(tmp_path / "p.yaml"))[1]["face"] == {"NOSE": "nose_tip"}
 
 
 def test_sets_that_do_not_ship_are_refused_by_name():
