@@ -42,9 +42,12 @@ def started(monkeypatch):
         monkeypatch.setattr(build_open, name, works.append)
 
     def start(argv: list[str]) -> list:
+        """Of a script, or of the program `grabnet`."""
         works.clear()
-        monkeypatch.setattr(sys, "argv", argv)
-        assert import_module(MODULES[Path(argv[0]).stem]).main() == 0
+        is_program = argv[0] == "grabnet"
+        monkeypatch.setattr(sys, "argv", argv[1:] if is_program else argv)
+        module = COMMANDS[argv[1]][0] if is_program else MODULES[Path(argv[0]).stem]
+        assert import_module(module).main() == 0
         return list(works)
 
     return start
@@ -70,6 +73,14 @@ def test_every_command_is_read_as_printed(started, tmp_path, monkeypatch):
         else:
             (extra,) = re.fullmatch(r"pip install -e '\.\[([\w-]+)\]'", command).groups()
             assert extra in extras, command
+
+
+@pytest.mark.parametrize("document", sorted((ROOT / "docs").glob("*.md")), ids=lambda path: path.name)
+def test_every_command_of_a_document_is_read_as_printed(document, started, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = document.read_text(encoding="utf-8").replace("```\ngrabnet", "```sh\ngrabnet")
+    for command in commands(text):
+        assert started(words(command)), command
 
 
 def test_no_recordings_go_into_a_data_set_of_other_settings(started, tmp_path):

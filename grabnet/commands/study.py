@@ -10,16 +10,13 @@ grabnet study export --help      # the values of one of them
 
 from __future__ import annotations
 
-import difflib
-import sys
 from collections.abc import Callable
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from grabnet.cli.ends import say
 from grabnet.cli.entry import hydra_entry
-from grabnet.cli.help import EXIT_CODES
+from grabnet.cli.subcommands import choose
 
 # By command; with names of conditions, which may have any characters, too.
 PATHS = {
@@ -98,17 +95,4 @@ COMMANDS: dict[str, Callable[[], int]] = {
 
 def main() -> int:
     """Run the command that the first argument names, on the arguments after it."""
-    name, *arguments = sys.argv[1:] or ["--help"]
-    if name in ("--help", "-h"):
-        print(f"{__doc__}\n{EXIT_CODES}")
-        return 0
-    if name in ("-sc", "--shell-completion"):
-        print(" ".join(COMMANDS))
-        return 0
-    if name not in COMMANDS:
-        close = difflib.get_close_matches(name, COMMANDS, n=1)
-        hint = f"did you mean {close[0]}?" if close else f"it can be {', '.join(COMMANDS)}."
-        say(f"There is no command 'study {name}'; {hint}")
-        return 2
-    sys.argv = [f"grabnet study {name}", *arguments]
-    return COMMANDS[name]()
+    return choose("study", COMMANDS, __doc__ or "")

@@ -14,6 +14,7 @@ from grabnet.io.files import existing, replacing
 from grabnet.mosh.markers import MarkerData, markers_of
 
 _BLOCK = 512  # bytes
+_MOST_FRAMES = 0xFFFF  # that ezc3d reads and writes; the header has 16 bits for them
 _MIPS = 86  # what the processor's number is in files of old SGI workstations
 # Groups of POINT in which capture software lists points that are no markers.
 _NO_MARKERS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "MODELED_MARKERS")
@@ -66,7 +67,12 @@ def write_c3d(path: str | Path, labels: Sequence[str], positions: np.ndarray, ra
         positions: (T, M, 3) metres; NaN where missing.
         rate: frames per second.
         unit: mm or m, of the file.
+
+    Raises:
+        UserError: ezc3d is not installed; more frames than a file takes.
     """
+    if len(positions) > _MOST_FRAMES:
+        raise UserError(f"{path} would have {len(positions):,} frames; a c3d file takes {_MOST_FRAMES:,}.")
     file = _ezc3d().c3d()
     values = np.moveaxis(positions * {"mm": 1e3, "m": 1.0}[unit], -1, 0).swapaxes(1, 2)
     seen = np.isfinite(values).all(0)
@@ -106,17 +112,37 @@ def _check_header(path: Path) -> None:
         raise UserError(
             f"{path} was written by an SGI/MIPS machine, whose numbers are not read: save it as PC (Intel)."
         )
-    order = "<" if parameters[3] != _MIPS else ">"
-    points, analog, first, last = struct.unpack(f"{order}4H", data[2:10])
+    points, analog, first, last = struct.unpack("<4H", data[2:10])
     integers = struct.unpack("<f", data[12:16])[0] > 0 if parameters[3] == 84 else data[15] < 0x80
-    start = struct.unpack(f"{order}H", data[16:18])[0]
-    if last in (0, 0xFFFF) or not start:  # longer than the header can say
+    start = struct.unpack("<H", data[16:18])[0]
+    size, data_at = path.stat().st_size, _BLOCK * (start - 1)
+    if not (start and points + analog):
         return
-    if last < first:
+    if points and size <= data_at:
+        raise UserError(f"{path} holds no frames: it ends where they should start. Export or copy it again.")
+    if last < first and last:
         raise UserError(f"{path} holds 0 frames.")
-    expected = _BLOCK * (start - 1) + (last - first + 1) * (4 * points + analog) * (2 if integers else 4)
-    if (size := path.stat().st_size) < expected:
+    frame_bytes = (4 * points + analog) * (2 if integers else 4)
+    more = last in (0, _MOST_FRAMES)  # than the header can say
+    frames = _announced(path, _BLOCK * (data[0] - 1), data_at) if more else last - first + 1
+    if size < (expected := data_at + frames * frame_bytes):
         raise UserError(f"{path} is cut off: it has {size:,} bytes of the {expected:,} that its header announces.")
+    if points and (size - data_at - _BLOCK) // frame_bytes > _MOST_FRAMES:  # a block may be padding
+        raise UserError(f"{path} has more than the {_MOST_FRAMES:,} frames that are read of a c3d file: export parts.")
+
+
+def _announced(path: Path, start: int, end: int) -> int:
+    """Frames that the parameters between two bytes of the file announce, in the words that long files use."""
+    with path.open("rb") as file:
+        file.seek(start)
+        parameters = file.read(max(0, end - start))
+    for name in (b"ACTUAL_END_FIELD", b"FRAMES"):
+        value = parameters[parameters.find(name) + len(name) + 2 :] if name in parameters else b""
+        if len(value) >= 6 and value[0] == 2:  # 16-bit integers, one or two of them: low and high word
+            at, n = (2, 1) if value[1] == 0 else (3, value[2])
+            words = struct.unpack_from(f"<{min(n, 2)}H", value, at)
+            return sum(word << 16 * k for k, word in enumerate(words))
+    return 0
 
 
 def _value(parameters: Any, name: str, default: Any) -> Any:

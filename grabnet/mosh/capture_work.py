@@ -25,6 +25,7 @@ from grabnet.io.state import Finite, read_json
 from grabnet.mosh.assembling import NO_OBJECT, assemble
 from grabnet.mosh.attachment import Attachment
 from grabnet.mosh.captures import read_capture
+from grabnet.mosh.choosing import refuse_other_size
 from grabnet.mosh.layouts import Layout, ObjectLayout, read_object_layouts
 from grabnet.mosh.markers import MarkerData
 from grabnet.mosh.priors import PriorConfig, joint_prior
@@ -171,6 +172,7 @@ class CaptureWork:
                 getattr(torch, self.dtype),
             )
             trunk = on_trunk(attachment)
+            refuse_other_size(observed, latent.numpy(), trunk.numpy(), path)
             prior = joint_prior(body, self.prior)
             solving = time.process_time()
             pose = stage_two(attachment, torch.as_tensor(observed), markers.rate, prior, self.prior, self.config, trunk)
@@ -261,8 +263,7 @@ def read_report(root: Path, name: str) -> dict[str, Any]:
 
 
 def _travel(markers: MarkerData) -> float:
-    middle = np.nanmean(np.where(markers.seen[..., None], markers.positions, np.nan), 1)
-    middle = middle[np.isfinite(middle[:, 0])]
+    middle = np.nanmean(markers.positions[markers.seen.any(1)], 1)
     return float(np.ptp(middle, axis=0).max()) if len(middle) else -1.0
 
 

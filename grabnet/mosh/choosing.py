@@ -9,6 +9,8 @@ from grabnet.errors import UserError
 from grabnet.mosh.rigid import align
 
 _CANDIDATES = 2000  # frames looked at, evenly spread
+# How many times as far apart as on the body at rest the trunk's markers may lie: children, and shapes not yet known.
+_SIZES = (0.4, 2.0)
 
 
 def choose_frames(positions: np.ndarray, resting: np.ndarray, trunk: np.ndarray, n: int, where: object) -> np.ndarray:
@@ -25,8 +27,9 @@ def choose_frames(positions: np.ndarray, resting: np.ndarray, trunk: np.ndarray,
         where: the capture, for messages.
 
     Raises:
-        UserError: no frame shows three markers of the trunk and half of all.
+        UserError: no frame shows three markers of the trunk and half of all; as `refuse_other_size`.
     """
+    refuse_other_size(positions, resting, trunk, where)
     seen = np.isfinite(positions[..., 0])
     able = ((seen & trunk).sum(1) >= 3) & (seen.mean(1) >= 0.5)
     if not able.any():
@@ -46,8 +49,8 @@ def choose_frames(positions: np.ndarray, resting: np.ndarray, trunk: np.ndarray,
     laid = np.where(there[..., None], laid.numpy(), np.nan)
     usable = np.isfinite(laid[:, trunk][..., 0]).any(1)
     candidates, laid, there = candidates[usable], laid[usable], there[usable]
-    laid = np.where(there[..., None], laid, np.nanmean(laid, 0) if len(laid) else 0.0)
-    laid = np.nan_to_num(laid)
+    middle = np.nansum(laid, 0) / np.maximum(1, there.sum(0))[:, None]  # 0 of markers that none of the frames shows
+    laid = np.where(there[..., None], laid, middle)
     # A swapped label or a ghost is far from everything: no frame is chosen for the sake of one.
     laid = np.clip(laid, *np.nanquantile(laid, (0.02, 0.98), axis=0))
     chosen = [int(there.sum(1).argmax())]
@@ -61,3 +64,27 @@ def choose_frames(positions: np.ndarray, resting: np.ndarray, trunk: np.ndarray,
         chosen.append(int(worth.argmax()))
         shown += there[chosen[-1]]
     return candidates[chosen]
+
+
+def refuse_other_size(positions: np.ndarray, resting: np.ndarray, trunk: np.ndarray, where: object) -> None:
+    """Refuse markers that are in another unit than they claim; arguments as of `choose_frames`.
+
+    Raises:
+        UserError: the trunk's markers lie much closer together or further apart than those of a body.
+    """
+    there = trunk & np.isfinite(positions[..., 0])
+    some = (there.sum(1) >= 3).nonzero()[0]
+    some = some[:: max(1, len(some) // 50)]
+    if not len(some):
+        return
+    ratio = float(np.median([_width(positions[t, there[t]]) / _width(resting[there[t]]) for t in some]))
+    if not _SIZES[0] <= ratio <= _SIZES[1]:
+        raise UserError(
+            f"{where}: the markers of the trunk lie {ratio:.2g} times as far apart as on a body: give the right "
+            "reading.unit=mm, cm or m."
+        )
+
+
+def _width(places: np.ndarray) -> float:
+    """Of places (N, 3): root mean square distance to their middle."""
+    return float(np.sqrt(((places - places.mean(0)) ** 2).sum(1).mean()))

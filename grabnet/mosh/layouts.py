@@ -19,6 +19,7 @@ from grabnet.io.files import existing, write_bytes
 DISTANCES = {"body": 0.0095, "face": 0.0, "finger": 0.0}
 # Fewer than this many body markers don't determine where the pelvis is and how it is turned.
 _FEWEST = 6
+_DIGITS = 5  # of positions on objects, after the point
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,7 @@ def read_layout(path: str | Path, n_vertices: int | None = None, n_faces: np.nda
     Raises:
         UserError: no such file, no YAML, or not in this form; for another model; a place that it does not have.
     """
-    content = _mapping(path, "Layout")
+    content = read_mapping(path, "Layout")
     if not isinstance(markers := content.get("markers"), dict) or not markers:
         raise UserError(f"{path} has no markers: label → type and vertex.")
     total = content.get("vertices")
@@ -143,7 +144,7 @@ def read_layout(path: str | Path, n_vertices: int | None = None, n_faces: np.nda
 
 def write_layout(path: str | Path, layout: Layout, comments: Mapping[str, str] | None = None) -> None:
     """Write a layout as YAML, one marker a line, each with a comment on where it is."""
-    lines = [f"name: {layout.name}", f"vertices: {layout.n_vertices} # of the body model", "markers:"]
+    lines = [f"name: {_scalar(layout.name)}", f"vertices: {layout.n_vertices} # of the body model", "markers:"]
     for marker in layout.markers:
         place = f"vertex: {marker.vertices[0]}"
         if len(set(marker.vertices)) > 1:
@@ -152,7 +153,7 @@ def write_layout(path: str | Path, layout: Layout, comments: Mapping[str, str] |
         if marker.distance != DISTANCES[marker.type]:
             place += f", distance: {marker.distance:g}"
         comment = f" # {comments[marker.label]}" if comments and marker.label in comments else ""
-        lines.append(f"  {marker.label}: {{type: {marker.type}, {place}}}{comment}")
+        lines.append(f"  {_scalar(marker.label)}: {{type: {marker.type}, {place}}}{comment}")
     write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 
@@ -163,7 +164,7 @@ def read_object_layouts(path: str | Path) -> dict[str, ObjectLayout]:
         UserError: no such file, or not in this form; fewer than 3 markers, or all of them on one line.
     """
     layouts = {}
-    for name, markers in _mapping(path, "Layout of objects").items():
+    for name, markers in read_mapping(path, "Layout of objects").items():
         if not isinstance(markers, dict):
             raise UserError(f"{path}: {name} must be label → [x, y, z].")
         positions = []
@@ -191,7 +192,8 @@ def object_layout(name: str, labels: Sequence[str], positions: np.ndarray) -> Ob
 
 
 def spread_markers(name: str, mesh: Mesh, n: int = 8, seed: int = 0) -> ObjectLayout:
-    """Place markers on an object, far from each other: every next one farthest from those before.
+    """Place markers on an object, far from each other: every next one farthest from those before. Positions have as
+    many digits as in the file of `write_object_layouts`.
 
     Args:
         name: of the object; labels are m1, m2, ….
@@ -205,28 +207,51 @@ def spread_markers(name: str, mesh: Mesh, n: int = 8, seed: int = 0) -> ObjectLa
     for _ in range(n - 1):
         distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
         chosen.append(int(distance.argmax()))
-    return object_layout(name, [f"m{k}" for k in range(1, n + 1)], points[chosen])
+    return object_layout(name, [f"m{k}" for k in range(1, n + 1)], points[chosen].round(_DIGITS))
 
 
 def write_object_layouts(path: str | Path, layouts: Iterable[ObjectLayout]) -> None:
     """Write where markers sit on objects; `read_object_layouts` reads it."""
     lines = ["# Markers of objects: label → position in the object's own frame, metres."]
     for layout in layouts:
-        lines.append(f"{layout.name}:")
+        lines.append(f"{_scalar(layout.name)}:")
         for label, position in zip(layout.labels, layout.positions, strict=True):
-            lines.append(f"  {label}: [{', '.join(f'{x:.5f}' for x in position)}]")
+            lines.append(f"  {_scalar(label)}: [{', '.join(f'{x:.{_DIGITS}f}' for x in position)}]")
     write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 
-def _mapping(path: str | Path, what: str) -> dict[str, Any]:
+def _scalar(text: str) -> str:
+    """A text as YAML has it, in quotes where it needs them."""
+    return yaml.safe_dump(text, allow_unicode=True, width=1000).splitlines()[0]
+
+
+class _Loader(yaml.SafeLoader):
+    """Refuses a key that occurs twice, of which YAML keeps the last, and those that YAML reads as true or false."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        for key, (written, _) in zip(keys, node.value, strict=True):
+            if isinstance(key, bool) or key is None:
+                raise yaml.YAMLError(f"'{written.value}' is not read as a name: put it in quotes")
+            if not isinstance(key, str | int | float) or keys.count(key) > 1:
+                raise yaml.YAMLError(f"'{written.value}' occurs twice, or is no name")
+        return super().construct_mapping(node, deep)
+
+
+def read_mapping(path: str | Path, what: str) -> dict[str, Any]:
+    """Read a YAML file that is a mapping; `what` it is, for messages.
+
+    Raises:
+        UserError: no such file; no YAML, or no mapping; a key that occurs twice.
+    """
     path = existing(path, what)
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is no YAML ({' '.join(str(error).split())[:120]}).") from None
+        content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        raise UserError(f"{path} is no YAML that can be used ({' '.join(str(error).split())[:160]}).") from None
     if not isinstance(content, dict):
-        raise UserError(f"{path} is no layout: it must be a mapping.")
-    return content
+        raise UserError(f"{path} is no {what[0].lower() + what[1:]}: it must be a mapping.")
+    return {str(key): value for key, value in content.items()}
 
 
 def _attached(path: object, label: str, place: Any, n_vertices: int, faces: np.ndarray | None) -> Attached:

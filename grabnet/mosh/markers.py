@@ -18,7 +18,7 @@ _PLAUSIBLE = (0.03, 30.0)
 _A_BODY = (0.3, 20.0)
 # Kinds of modelled outputs that share a file's list of points with markers.
 _NO_MARKER = re.compile(r"(angles?|forces?|moments?|powers?|scalars?)$", re.IGNORECASE)
-_UNLABELLED = re.compile(r"^(\*|U|unlabell?ed_?|ghost_?)?\d+$", re.IGNORECASE)
+_UNLABELLED = re.compile(r"^(\*|U|unlabell?ed[ _]?|ghost_?)?\d+$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def markers_of(
     if not _PLAUSIBLE[0] <= spread <= _PLAUSIBLE[1]:
         raise UserError(
             f"{path}: its markers lie {spread:.3g} m apart when read in '{given_unit or units[kept[0]]}', which no "
-            "capture does: give the right unit=mm, cm or m."
+            "capture does: give the right reading.unit=mm, cm or m."
         )
     return MarkerData(tuple(names[i] for i in kept), _upright(places, up), float(rate), tuple(notes))
 
@@ -167,11 +167,15 @@ def _scales(path: object, units: Sequence[str], spread: float, notes: list[str])
     for unit in units:
         if unit.strip("\x00 "):
             if (scale := scale_of(unit)) is None:
-                raise UserError(f"{path} is in the unit '{unit}', which is no length: give the right unit=mm, cm or m.")
+                raise UserError(
+                    f"{path} is in the unit '{unit}', which is no length: give the right reading.unit=mm, cm or m."
+                )
         else:
             fitting = [(name, s) for name, s in (("m", 1.0), ("mm", 1e-3)) if _A_BODY[0] <= spread * s <= _A_BODY[1]]
             if len(fitting) != 1:
-                raise UserError(f"{path} names no unit, and its markers lie {spread:.3g} apart: give unit=mm, cm or m.")
+                raise UserError(
+                    f"{path} names no unit, and its markers lie {spread:.3g} apart: give reading.unit=mm, cm or m."
+                )
             name, scale = fitting[0]
             note = f"The file names no unit: its markers lie {spread:.3g} apart, so it is taken to be in {name}."
             notes.extend([] if note in notes else [note])

@@ -6,6 +6,7 @@ resting body. x points to the body's left, y up and z ahead; arms are spread, pa
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import dataclass
 
 import numpy as np
@@ -144,7 +145,9 @@ class Skin:
             UserError: no such place.
         """
         if name not in PLACES:
-            raise UserError(f"There is no place '{name}'; the places are {', '.join(PLACES)}.")
+            close = difflib.get_close_matches(name, PLACES, n=1)
+            nearest = f"its nearest is '{close[0]}'; " if close else ""
+            raise UserError(f"There is no place '{name}'; {nearest}the places are {', '.join(PLACES)}.")
         place = PLACES[name]
         start, end = self._joints[place.start], self._joints[place.end]
         origin = start + place.along * (end - start) + self._between_eyes * np.array(place.shift)

@@ -4,8 +4,9 @@ The folder `out` gets
     grab/<subject>/<capture>.npz        the recordings
     tools/…                             templates of the subject, meshes of the objects and of a table
     mosh/<subject>/<capture>.json       the quality of each; .png plots and .webp films where asked for
-    mosh/placement.npz, placement.yaml  where the markers really sit (Stage I)
-    mosh/failures.json, run.json        what could not be solved, and how fast the rest was
+    mosh/<subject>.placement.npz, .yaml where the markers really sit (Stage I)
+    mosh/<subject>.failures.json        what could not be solved; .run.json: how fast the rest was
+    mosh/<subject>.recipe.json          the settings: several subjects, each by a run of its own, share a folder
 """
 
 from __future__ import annotations
@@ -96,6 +97,10 @@ class MoshConfig:
     def root(self) -> Path:
         return Path(self.out).resolve()
 
+    def record(self, what: str) -> Path:
+        """File of the subject's own beside the reports."""
+        return self.root / "mosh" / f"{self.name}.{what}"
+
 
 def run(config: MoshConfig) -> int:
     """Solve the captures and say where the recordings are.
@@ -117,8 +122,8 @@ def run(config: MoshConfig) -> int:
     if config.objects is not None:
         read_object_layouts(config.objects)
     with alone_in(config.root, "out"):
-        remedy = f"delete {config.root / 'mosh'}, or choose another out="
-        claim(config.root / "mosh/recipe.json", _recipe(config), remedy)
+        remedy = f"delete {config.root / 'mosh' / config.name}*, or choose another out="
+        claim(config.record("recipe.json"), _recipe(config), remedy)
         clear_litter(config.root, "grab/*/*.*", "mosh/*.*", "mosh/*/*.*", "tools/*/*.*", "tools/*/*/*.*")
         placement = _placement(config, subject, layout, files)
         subject.write(config.root, placement.v_template)
@@ -129,7 +134,7 @@ def run(config: MoshConfig) -> int:
         )  # fmt: skip
         outcomes = list(_work(config, work))
         failures = sorted((o for o in outcomes if o.failure), key=lambda o: o.name)
-        write_json(config.root / "mosh/failures.json", {o.name: o.failure for o in failures})
+        write_json(config.record("failures.json"), {o.name: o.failure for o in failures})
         if config.pictures:
             _draw(config, work, outcomes)
         reports = {name: read_report(config.root, name) for name in captures
@@ -158,7 +163,7 @@ def _recipe(config: MoshConfig) -> dict[str, Any]:
 
 def _placement(config: MoshConfig, subject: Subject, layout: Layout, files: list[Path]) -> Placement:
     """Where the markers sit: found from some captures, or as found before."""
-    npz, yaml = config.root / "mosh/placement.npz", config.root / "mosh/placement.yaml"
+    npz, yaml = config.record("placement.npz"), config.record("placement.yaml")
     if npz.exists() and yaml.exists():
         return Placement.load(npz, read_layout(yaml))
     chosen = files[:: max(1, len(files) // config.stage_one_captures)][: config.stage_one_captures]
@@ -258,7 +263,7 @@ def _summarise(config: MoshConfig, reports: dict[str, Any], outcomes: list[Outco
     frames = sum(report["body"]["frames"] for report in new)
     cpu = sum(report["solving_cpu_seconds"] for report in new)
     write_json(
-        config.root / "mosh/run.json",
+        config.record("run.json"),
         provenance(
             captures=len(outcomes), frames=frames, seconds=round(seconds, 3), solving_cpu_seconds=round(cpu, 3),
             peak_mb_of_workers={o.worker: round(o.peak_bytes / 1e6) for o in outcomes if o.worker},

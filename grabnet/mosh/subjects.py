@@ -18,6 +18,7 @@ from grabnet.io.files import existing, replacing
 
 _TEMPLATES = Path("tools/subject_meshes")  # GRAB's own layout, below its root
 SIDES = ("left", "right")
+GENDERS = ("male", "female", "neutral")
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -17,9 +16,7 @@ from grabnet.body.skeleton import JOINTS
 from grabnet.body.whole import BodyModel
 from grabnet.cli.checks import Amount, Positive, Share, Weight, in_range
 from grabnet.data.sequences import BodyTrack, Sequence
-from grabnet.mosh.c3d import write_c3d
 from grabnet.mosh.layouts import Layout, ObjectLayout
-from grabnet.mosh.markers import MarkerData
 from grabnet.mosh.placing import marker_positions
 
 _BATCH = 64  # frames posed at once
@@ -102,23 +99,32 @@ def posed_vertices(
         yield body(track.parameters(now), rest).vertices
 
 
+class OnSkin:
+    """Markers on a body, wherever it is.
+
+    Args:
+        layout: where they sit.
+        faces: (F, 3) of the body.
+    """
+
+    def __init__(self, layout: Layout, faces: Tensor):
+        corners = torch.tensor([marker.vertices for marker in layout.markers])
+        faces = faces[torch.isin(faces, corners).any(1)]  # their normals need no others
+        self._around, self._faces = faces.unique(return_inverse=True)
+        own = torch.searchsorted(self._around, corners).tolist()
+        markers = zip(layout.markers, own, strict=True)
+        self._layout = replace(layout, markers=tuple(replace(marker, vertices=tuple(at)) for marker, at in markers))
+
+    def __call__(self, vertices: Tensor) -> np.ndarray:
+        """(B, M, 3) float64 of bodies (B, V, 3)."""
+        near = vertices[:, self._around].double()
+        return marker_positions(self._layout, near.numpy(), vertex_normals(near, self._faces).numpy())
+
+
 def clean_markers(sequence: Sequence, body: BodyModel, v_template: Tensor, layout: Layout) -> np.ndarray:
     """(T, M, 3) where the markers are, free of noise; float64."""
-    corners = torch.tensor([marker.vertices for marker in layout.markers])
-    faces = body.faces[torch.isin(body.faces, corners).any(1)]  # their normals need no others
-    around, numbered = faces.unique(return_inverse=True)
-    own = torch.searchsorted(around, corners)
-    there = replace(
-        layout,
-        markers=tuple(
-            replace(marker, vertices=tuple(those.tolist())) for marker, those in zip(layout.markers, own, strict=True)
-        ),
-    )
-    positions = []
-    for vertices in posed_vertices(sequence.body, body, v_template):
-        near = vertices[:, around].double()
-        positions.append(marker_positions(there, near.numpy(), vertex_normals(near, numbered).numpy()))
-    return np.concatenate(positions)
+    on_skin = OnSkin(layout, body.faces)
+    return np.concatenate([on_skin(vertices) for vertices in posed_vertices(sequence.body, body, v_template)])
 
 
 def object_markers(sequence: Sequence, layout: ObjectLayout) -> np.ndarray:
@@ -127,11 +133,13 @@ def object_markers(sequence: Sequence, layout: ObjectLayout) -> np.ndarray:
     return layout.positions @ turned.swapaxes(1, 2) + sequence.object.transl[:, None].astype(np.float64)
 
 
-def spoilt(positions: np.ndarray, rate: float, flaws: Flaws, seed: int) -> np.ndarray:
-    """Markers (T, M, 3) as a capture would have them."""
+def spoilt(positions: np.ndarray, rate: float, flaws: Flaws, seed: int, hidden: np.ndarray | None = None) -> np.ndarray:
+    """Markers (T, M, 3) as a capture would have them; those that are `hidden` (T, M) from the cameras are missing."""
     rng = np.random.default_rng([seed, 3])
     n, m, _ = positions.shape
     found = positions + rng.normal(0, flaws.noise, positions.shape)
+    if hidden is not None:
+        found[hidden] = np.nan
     for t in range(n):
         found[t, rng.choice(m, rng.integers(0, min(flaws.dropped, m) + 1), replace=False)] = np.nan
     mean_length = max(1, round(flaws.burst_seconds * rate / 2))
@@ -154,41 +162,3 @@ def _swap(found: np.ndarray, positions: np.ndarray, n_frames: int, length: int, 
         now = slice(start, start + run)
         found[now, [one, other]] = found[now, [other, one]]
         n_frames -= run
-
-
-def synthesise(
-    sequence: Sequence,
-    body: BodyModel,
-    v_template: Tensor,
-    layout: Layout,
-    object_layout: ObjectLayout | None,
-    flaws: Flaws,
-    seed: int,
-) -> tuple[MarkerData, Layout]:
-    """A capture of a recording.
-
-    Args:
-        sequence: the recording.
-        body: model that it is of.
-        v_template: (V, 3) of its subject.
-        layout: where the markers were meant to sit.
-        object_layout: of its object; none when omitted.
-        flaws: of the capture.
-        seed: of all that is random.
-
-    Returns:
-        the markers, labelled `<subject>:…` and `<object>:…`; and where those of the body really sat.
-    """
-    truth = in_one_ring(layout, body.faces.numpy(), seed)
-    positions = [clean_markers(sequence, body, v_template, truth)]
-    labels = [f"{sequence.sbj_id}:{label}" for label in layout.labels]
-    if object_layout is not None:
-        positions.append(object_markers(sequence, object_layout))
-        labels += [f"{sequence.obj_name}:{label}" for label in object_layout.labels]
-    found = spoilt(np.concatenate(positions, 1), sequence.framerate, flaws, seed)
-    return MarkerData(tuple(labels), found, sequence.framerate), truth
-
-
-def write_synthetic(path: Path, markers: MarkerData) -> None:
-    """Write a capture to disk, as capture software does."""
-    write_c3d(path, markers.labels, markers.positions, markers.rate)

@@ -22,6 +22,7 @@ from grabnet.study.key import StudyKey
 from grabnet.visual.pictures import can_render
 from tests.cli.test_commands import CONFIG, leaves, typed
 from tests.mosh.conftest import Actor, write_csv
+from tests.mosh.recorded import record
 from tests.preprocess.tiny_grab import overrides, write_grab
 from tests.tiny import tiny_overrides
 
@@ -124,6 +125,24 @@ def test_mosh(call, tmp_path):
     assert code == 0 and "4 frames, markers" in out
     assert {"Solving captures: 0 of 1"} <= set(err.splitlines())
     assert read_sequence(tmp_path / "out/grab/s1/box (1)_lift.npz").framerate == pytest.approx(24)
+
+
+def test_mosh_of_recordings(call, tmp_path):
+    """Captures of a recording, and the recording beside itself."""
+    record(tmp_path / "recorded", {"s9/ball_lift_1": Actor(frames=2)})
+    places = [f"root={tmp_path / 'recorded'}", f"out='{tmp_path / 'made (1)'}'", "workers=1", "quiet=false"]
+    code, out, err = call("mosh synthesise", *places, "recordings=[s9/ball_lift_1]", "rig.heights=[1.0]")
+    assert code == 0 and "s9/ball_lift_1: 2 frames" in out and "Making captures: 0 of 1" in err
+    both = [f"truth='{tmp_path / 'made (1)'}'", f"solved={tmp_path / 'recorded'}", f"contact={tmp_path / 'recorded'}"]
+    code, out, err = call("mosh judge", *both, f"output={tmp_path / 'a.json'}", "quiet=false")
+    assert code == 0 and "Comparing recordings: 0 of 1" in err
+    whole = json.loads((tmp_path / "a.json").read_text())["all"]
+    assert whole["vertices"] == 0 and whole["object"] == 0 and whole["part_f1"] == whole["vertex_f1"] == 1
+
+
+def test_mosh_layouts(call, tmp_path):
+    code, out, _ = call("mosh place", "markers=plug_in_gait", f"output='{tmp_path / 'a (1).yaml'}'")
+    assert code == 0 and "39 markers are in" in out and (tmp_path / "a (1).html").exists()
 
 
 def test_benchmark(call, tmp_path):

@@ -13,6 +13,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from grabnet.cli.entry import CONFIGS, compose, hydra_entry
 from grabnet.cli.quoting import quoted
 from grabnet.commands import COMMANDS
+from grabnet.commands.mosh import COMMANDS as MOSH
 from grabnet.commands.study import COMMANDS as STUDY
 from grabnet.errors import UserError
 
@@ -21,7 +22,7 @@ CONFIG = {name: name for name in ("train", "evaluate", "benchmark")} | {
     name: f"{name}/{name}" for name in ("sample", "preprocess", "analyze", "mosh")
 }
 CONFIG["meshes"] = "analyze/meshes"
-CONFIG |= {f"study {name}": f"study/{name}" for name in STUDY}
+CONFIG |= {f"study {name}": f"study/{name}" for name in STUDY} | {f"mosh {name}": f"mosh/{name}" for name in MOSH}
 # Command lines that together have every value of a command.
 LINES = {
     "sample": ["mesh=a.obj", "mesh=a.obj hand_model=a.npz model=[runs/a,runs/b]"],
@@ -47,6 +48,7 @@ LINES = {
         "callbacks=pruning logger=wandb scheduler=cosine trainer=ddp",
     ],
     **{f"study {name}": ["export=a"] if name in ("serve", "analyse") else [""] for name in STUDY},
+    **{f"mosh {name}": ["truth=a solved=b"] if name == "judge" else [""] for name in MOSH},
 }
 BOTH = [(command, line) for command, lines in LINES.items() for line in lines]
 AWKWARD = "/ö x/läuf (1), b=c~d/#'2'"
@@ -76,9 +78,9 @@ def names(command: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Of the values that are a file name, and that may be several."""
     name, *part = command.split()
     module = import_module(COMMANDS[name][0])
-    if part:
-        return module.PATHS[part[0]], module.LISTS.get(part[0], ())
-    return module.PATHS, getattr(module, "LISTS", ())
+    paths, lists = module.PATHS, getattr(module, "LISTS", {} if part else ())
+    own = part[0] if part else ""
+    return paths[own] if isinstance(paths, dict) else paths, lists.get(own, ()) if isinstance(lists, dict) else lists
 
 
 def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess:

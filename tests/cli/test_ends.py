@@ -37,12 +37,17 @@ WRITERS = {
     "build   ": "body --folder {}",
     "build    ": "sequences --root {}",
     "build     ": "film a.npz --output {}",
+    "mosh": "capture=a.c3d out={}",
+    "mosh ": "synthesise out={}",
+    "mosh  ": "judge truth=a solved=b output={}",
+    "mosh   ": "place output={}",
+    "mosh    ": "draw output={}",
     "study": "export output={}",
     "study ": "analyse export=a output={}",
     "study  ": "simulate output={}",
     "study   ": "power output={}",
 }
-IS_FILE = {"benchmark", "import", "build  ", "build     ", "study   "}
+IS_FILE = {"mosh  ", "mosh   ", "mosh    ", "benchmark", "import", "build  ", "build     ", "study   "}
 
 
 def said(capsys, monkeypatch, name: str, *arguments: str) -> tuple[int, str]:

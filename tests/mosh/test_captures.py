@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import ezc3d
@@ -11,7 +12,6 @@ import pytest
 from grabnet.errors import UserError
 from grabnet.mosh.captures import find_captures, read_capture
 from grabnet.mosh.markers import markers_of, scale_of
-from grabnet.mosh.tables import read_table
 
 RATE = 120.0
 LABELS = ("s1:LKNE", "s1:RKNE", "mug:m1")
@@ -135,6 +135,49 @@ def test_damaged_and_foreign_files_are_refused(c3d, tmp_path):
         read_capture(tmp_path / "x.txt")
 
 
+def header(path: Path, first: int, last: int) -> bytes:
+    """The file's bytes with other numbers of the first and last frame in its header."""
+    whole = path.read_bytes()
+    return whole[:6] + struct.pack("<2H", first, last) + whole[10:]
+
+
+@pytest.mark.parametrize(("first", "last"), [(1, 0), (0, 0), (1, 5), (1, 65535)])
+def test_files_that_end_before_their_frames(c3d, first, last):
+    path = c3d()
+    start = 512 * (path.read_bytes()[16] - 1)
+    path.write_bytes(header(path, first, last)[:start])
+    with pytest.raises(UserError, match="holds no frames: it ends where they should start"):
+        read_capture(path)
+
+
+def test_files_whose_last_frame_is_before_the_first(c3d):
+    path = c3d()
+    path.write_bytes(header(path, 2, 1))
+    with pytest.raises(UserError, match="holds 0 frames"):
+        read_capture(path)
+
+
+def test_long_files_that_are_cut_off_are_known_by_their_parameters(c3d):
+    """Their header cannot say how many frames they have."""
+    path = c3d(places=positions(300))
+    path.write_bytes(header(path, 1, 65535)[:-6000])
+    with pytest.raises(UserError, match="is cut off: it has"):
+        read_capture(path)
+
+
+def test_files_longer_than_the_reader_reads_are_refused(c3d):
+    places = np.full((65_535, 1, 3), 0.5)
+    places[:, :, 0] = np.linspace(0, 1, 65_535)[:, None]
+    path = c3d(labels=LABELS[:1], places=places)
+    assert len(read_capture(path)) == 65_535
+    with path.open("ab") as file:
+        file.write(bytes(16 * 100))
+    with pytest.raises(UserError, match="has more than the 65,535 frames"):
+        read_capture(path)
+    with pytest.raises(UserError, match="would have 65,536 frames; a c3d file takes 65,535"):
+        c3d(labels=LABELS[:1], places=np.zeros((65_536, 1, 3)))
+
+
 def test_what_no_file_may_hold():
     places = positions()
     for labels, values, rate, sentence in (
@@ -156,68 +199,6 @@ def test_up_is_z_whatever_the_file_has():
     assert turned[0, 0].tolist() == [0, 0, 1]  # what was up
     sides = np.linalg.det(places[0]), np.linalg.det(turned[0])
     assert sides[0] == pytest.approx(sides[1]), "turned, not mirrored"
-
-
-def tables() -> dict[str, str]:
-    places = 1e3 * positions()
-    cells = [["" if np.isnan(x) else f"{x:.4f}" for x in frame.ravel()] for frame in places]
-    names = [label.partition(":")[2] for label in LABELS]
-    axes = [f"{axis}{k}" for k in (1, 2, 3) for axis in "XYZ"]
-    trc = [
-        "PathFileType\t4\t(X/Y/Z)\tx.trc",
-        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
-        "120\t120\t5\t3\tmm",
-        "Frame#\tTime\t" + "\t\t\t".join(names),
-        "\t\t" + "\t".join(axes),
-        *("\t".join([str(t + 1), f"{t / 120:.5f}", *row]) for t, row in enumerate(cells)),
-    ]
-    vicon = [
-        "Trajectories",
-        "120",
-        ",," + ",,,".join(names),
-        "Frame,Sub Frame," + ",".join(["X,Y,Z"] * 3),
-        ",," + ",".join(["mm"] * 9),
-        *(",".join([str(t + 1), "0", *row]) for t, row in enumerate(cells)),
-        "",
-        "Devices",
-    ]
-    qualisys = [
-        "NO_OF_FRAMES\t5",
-        "FREQUENCY\t120",
-        "MARKER_NAMES\t" + "\t".join(names),
-        *("\t".join(row) for row in cells),
-    ]
-    plain = [
-        "frame,time," + ",".join(f"{name}_{axis}" for name in names for axis in "xyz"),
-        *(",".join([str(t), f"{t / 120:.6f}", *row]) for t, row in enumerate(cells)),
-    ]
-    return {name: "\n".join(rows) + "\n" for name, rows in
-            {"a.trc": trc, "b.csv": vicon, "c.tsv": qualisys, "d.csv": plain}.items()}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", ["a.trc", "b.csv", "c.tsv", "d.csv"])
-def test_tables_come_back_in_metres(tmp_path, name):
-    path = tmp_path / name
-    path.write_text(tables()[name])
-    found = read_table(path)
-    assert found.labels == ("LKNE", "RKNE", "m1") and found.rate == pytest.approx(RATE, rel=1e-3)
-    np.testing.assert_allclose(found.positions, positions(), atol=1e-6)
-
-
-def test_tables_that_cannot_be_read(tmp_path):
-    path = tmp_path / "x.csv"
-    for text, sentence in (
-        ("a,b\n1,2\n", "no marker table that is known"),
-        ("A_x,A_y,A_z\n1,2,3\n", "how many frames it has per second"),
-        ("A_x,A_z,A_y\n1,2,3\n", "must come as x, y, z"),
-        ("Trajectories\n120\n", "cut off within its header"),
-    ):
-        path.write_text(text)
-        with pytest.raises(UserError, match=sentence):
-            read_table(path)
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(UserError, match="no text in UTF-8"):
-        read_table(path)
 
 
 def test_captures_of_a_folder(tmp_path):

@@ -107,7 +107,7 @@ def test_captures_become_recordings_and_are_not_solved_twice(lab, tmp_path, acto
         (("layout=nowhere.yaml",), "Layout nowhere.yaml does not exist"),
         (("capture=/no/where",), "Capture /no/where does not exist"),
         (("reading.prefix=s3",), "No marker has the prefix 's3'; the labels' prefixes are s9, box"),
-        (("reading.unit=mm",), "which no capture does: give the right unit=mm, cm or m"),
+        (("reading.unit=mm",), "which no capture does: give the right reading.unit=mm, cm or m"),
         (("reading.up=w",), "up is 'w'; it can be x, y, z"),
         (("stage_one.frames=0",), "frames is 0; it must be at least 1"),
         (("gender=x",), "gender is 'x'; it can be male, female, neutral"),
@@ -135,7 +135,7 @@ def test_a_capture_that_fails_leaves_the_others(lab, tmp_path, capsys):
     said = capsys.readouterr().err
     assert "error: s9/empty_lift_1:" in said and "are missing in all 4 frames" in said
     assert (tmp_path / "out/grab/s9/box_lift_1.npz").exists()
-    assert "empty_lift_1" in (tmp_path / "out/mosh/failures.json").read_text()
+    assert "empty_lift_1" in (tmp_path / "out/mosh/s9.failures.json").read_text()
 
 
 def test_layouts_are_shipped():
