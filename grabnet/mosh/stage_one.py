@@ -25,6 +25,7 @@ from grabnet.mosh.frames import FrameProblem, missing_factor
 from grabnet.mosh.layouts import Layout
 from grabnet.mosh.placing import marker_positions
 from grabnet.mosh.priors import PriorConfig, joint_prior
+from grabnet.mosh.relabelling import relabelled
 from grabnet.mosh.starting import start
 from grabnet.mosh.terms import MarkerTerm, PosePrior
 
@@ -60,6 +61,7 @@ class StageOneConfig:
     annealing: Annotated[Sequence[Positive], Filled()] = (1.0, 1.0, 1.0)
     iterations: Count = 12
     betas: Amount = 0
+    relabel: Positive = 0.01
 
     def __post_init__(self):
         in_range(self, "stage_one.")
@@ -112,6 +114,8 @@ def stage_one(
     dirs = body.shapedirs[..., : config.betas] if shared_shape else directions
     solver = _Solver(body, v_template, layout, torch.as_tensor(positions), config, prior, dirs, shared_shape, fixed)
     for round_, factor in enumerate(config.annealing):
+        if round_:
+            solver.relabel()
         for number in range(config.iterations):
             solver.step(factor, 3 if round_ == 0 else 1)
             if number % _REATTACH == _REATTACH - 1:
@@ -130,7 +134,8 @@ class _Solver:
 
     def __init__(self, body, v_template, layout, observed, config, prior, directions, shared_shape, fixed):
         self.body, self.config, self.shared_shape = body, config, shared_shape
-        self.template, self.layout, self.observed = v_template, layout, observed.double()
+        self.template, self.layout, self.given = v_template, layout, observed.double()
+        self.observed = self.given
         self.directions, self.fixed = directions, fixed
         self.prior_config, self.prior = prior, joint_prior(body, prior)
         self.distance = torch.tensor([marker.distance for marker in layout.markers]).double()
@@ -165,6 +170,10 @@ class _Solver:
         self.attachment = Attachment(
             self.body, self.template, self.layout, self.latent, self.directions, torch.float64, self.fixed
         )
+
+    def relabel(self) -> None:
+        """Give markers the labels that they fit."""
+        self.observed = relabelled(self.attachment.place(self.pose).points, self.given, self.config.relabel)
 
     def step(self, factor: float, reach: float) -> None:
         """One step of Levenberg and Marquardt on places and poses together."""

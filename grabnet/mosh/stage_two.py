@@ -16,13 +16,16 @@ from torch import Tensor
 from grabnet.cli.checks import Batch, Count, Positive, Range, Weight, in_range
 from grabnet.errors import UserError
 from grabnet.mosh.attachment import Attachment, Pose
+from grabnet.mosh.doubting import undoubted
 from grabnet.mosh.frames import FrameProblem, missing_factor, solve_frames
 from grabnet.mosh.priors import JointPrior, PriorConfig
+from grabnet.mosh.relabelling import relabelled
 from grabnet.mosh.so3 import exp, log
 from grabnet.mosh.starting import start
 from grabnet.mosh.sweeps import Windows, sweep
 from grabnet.mosh.terms import MarkerTerm, PosePrior, Velocity
 
+_BATCH = 256  # frames whose labels are looked at together, which bounds memory
 _FINGERS = 25  # the first joint of a hand
 _ROUGH, _FINE = 0.5, 1 / 15  # seconds between frames solved from nothing, and from what lies between those
 _REACH = 20.0  # of the markers where a pose may be far off, standard deviations
@@ -58,6 +61,8 @@ class StageTwoConfig:
     sweeps: Count = 3
     window: Annotated[int, Range(2, 65_536)] = 64
     windows: Batch = 4
+    doubt: Positive = 0.005
+    relabel: Positive = 0.01
 
     def __post_init__(self):
         in_range(self, "stage_two.")
@@ -90,16 +95,23 @@ def stage_two(
     t = len(observed)
     if not (observed[..., 0].isfinite().sum(1) >= 3).any():
         raise UserError("no frame shows three markers of the body")
-    problem = frame_problem(attachment, observed, prior, prior_config, config)
-    pose = _first_poses(problem, prior, trunk, rate)
+    seen = undoubted(observed, config.doubt)
+    pose = _first_poses(frame_problem(attachment, seen, prior, prior_config, config), prior, trunk, rate)
     progress(t // 4)
     velocity = velocity_term(attachment, rate, config)
     windows = Windows(config.window, config.windows, config.smooth * rate)
     damping = torch.full((t,), 1e-4, dtype=torch.float64)
     for number in range(config.sweeps if t > 1 else 0):
+        labelled = _relabelled(attachment, pose, observed, config.relabel)
+        problem = frame_problem(attachment, labelled, prior, prior_config, config)
         pose = sweep(problem, velocity, pose, damping, windows, number)
         progress(t * 3 // 4 // config.sweeps)
     return pose
+
+
+def _relabelled(attachment: Attachment, pose: Pose, observed: Tensor, reach: float) -> Tensor:
+    parts = [slice(start, start + _BATCH) for start in range(0, len(observed), _BATCH)]
+    return torch.cat([relabelled(attachment.place(pose.frames(now)).points, observed[now], reach) for now in parts])
 
 
 def frame_problem(
