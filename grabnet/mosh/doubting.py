@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-_LOOKED_AT = 400  # frames from which usual distances are taken, evenly spread: they bound the memory
+_LOOKED_AT = 200  # frames from which usual distances are taken, evenly spread: they bound the memory
 _PARTNERS = 8  # labels whose distances to a label vary least
 _USUAL = (0.2, 0.8)  # quantiles of a distance between which it is usual
 

@@ -96,7 +96,8 @@ def stage_two(
     if not (observed[..., 0].isfinite().sum(1) >= 3).any():
         raise UserError("no frame shows three markers of the body")
     seen = undoubted(observed, config.doubt)
-    pose = _first_poses(frame_problem(attachment, seen, prior, prior_config, config), prior, trunk, rate)
+    problem = frame_problem(attachment, seen, prior, prior_config, config)
+    pose = _first_poses(problem, prior, trunk, rate, config)
     progress(t // 4)
     velocity = velocity_term(attachment, rate, config)
     windows = Windows(config.window, config.windows, config.smooth * rate)
@@ -136,7 +137,9 @@ def velocity_term(attachment: Attachment, rate: float, config: StageTwoConfig) -
     return Velocity(((sigma * 120 / rate) ** -2).to(attachment.dtype), attachment.joints)
 
 
-def _first_poses(problem: FrameProblem, prior: JointPrior, trunk: Tensor, rate: float) -> Pose:
+def _first_poses(
+    problem: FrameProblem, prior: JointPrior, trunk: Tensor, rate: float, config: StageTwoConfig
+) -> Pose:
     """Poses of all frames, from those of a few."""
     observed, reach, problem = problem.markers.observed, problem.markers.reach, problem.reaching(_REACH)
     t, seen = len(observed), observed[..., 0].isfinite()
@@ -144,12 +147,21 @@ def _first_poses(problem: FrameProblem, prior: JointPrior, trunk: Tensor, rate: 
     pose, cost = start(problem.frames(rough), prior, trunk)
     good = ~_failed(cost, seen[rough])
     rough, pose = rough[good], pose.frames(good)
-    fine = torch.arange(0, t, max(1, round(_FINE * rate)))
+    every = max(1, round(_FINE * rate))
+    fine = torch.arange(0, t, every)
     pose, _ = solve_frames(problem.frames(fine), between(pose, rough, fine), 8)
     pose = _second_opinion(problem.frames(fine).reaching(reach), fine, pose)
     good = (seen[fine].sum(1) >= 3) & pose.transl.isfinite().all(1)
     good = good if good.any() else torch.ones_like(good)
-    return between(pose.frames(good), fine[good], torch.arange(t))
+    pose, fine = pose.frames(good), fine[good]
+    if len(fine) > 1:
+        # A hidden joint has fallen to its usual turn: what lies before and after says better where it is.
+        velocity = velocity_term(problem.attachment, rate / every, config)
+        damping = torch.full((len(fine),), 1e-4, dtype=torch.float64)
+        for number in range(2):
+            windows = Windows(config.window, config.windows)
+            pose = sweep(problem.frames(fine).reaching(reach), velocity, pose, damping, windows, number)
+    return between(pose, fine, torch.arange(t))
 
 
 def _second_opinion(problem: FrameProblem, frames: Tensor, pose: Pose) -> Pose:
