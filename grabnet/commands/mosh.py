@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
@@ -24,14 +26,17 @@ def solve(cfg: DictConfig) -> int:
     return run(instantiate(cfg, _convert_="all"))
 
 
-@hydra_entry("mosh/evaluate", paths=("root", "layout", "output"), folders=["output"])
+@hydra_entry("mosh/evaluate", paths=("root", "layout", "output", "sweep_dir"), folders=["output"])
 def evaluate(cfg: DictConfig) -> int:
     """Measure how accurate mosh is, on synthetic captures of recordings.
 
     grabnet mosh evaluate [root=DIR] [subjects=[s8,s9]] [any value below]
+    grabnet mosh evaluate -m search=weights sweep_dir=DIR   # look for better values
     """
     from grabnet.mosh.evaluation import run
 
+    if HydraConfig.get().mode == RunMode.MULTIRUN:
+        cfg.output = HydraConfig.get().runtime.output_dir
     return run(instantiate(cfg, _convert_="object"))
 
 

@@ -47,6 +47,8 @@ class StageOneConfig:
         annealing: factors of the pose prior, one round each (ref. 5).
         iterations: of each round.
         betas: shape coefficients to solve for; 0 where a scan gives the shape.
+        doubt: metres by which a marker's distances to its neighbours may be unusual; see `undoubted`.
+        relabel: metres within which a marker that fits another label than its own takes that; see `relabelled`.
 
     Raises:
         UserError: a value out of range.
@@ -61,6 +63,7 @@ class StageOneConfig:
     annealing: Annotated[Sequence[Positive], Filled()] = (1.0, 1.0, 1.0)
     iterations: Count = 12
     betas: Amount = 0
+    doubt: Positive = 0.005
     relabel: Positive = 0.01
 
     def __post_init__(self):

@@ -1,7 +1,8 @@
 """Stage II: the pose of every frame, given where the markers sit (paper 3.2, S.8).
 
-Few frames are solved from nothing, more from what lies between those, and then all together from what lies between
-these: a handful of Gauss-Newton sweeps suffices.
+Few frames are solved from nothing, more from what lies between those, then these together, and then all from what lies
+between: a handful of Gauss-Newton sweeps suffices. Markers in doubt are left out until the body's pose can say what
+their labels are.
 """
 
 from __future__ import annotations
@@ -47,6 +48,8 @@ class StageTwoConfig:
         smooth: seconds over which the expected change is averaged; 0 to expect none.
         sweeps: over all frames.
         window, windows: frames of a window and windows side by side, which bound memory.
+        doubt: metres by which a marker's distances to its neighbours may be unusual; see `undoubted`.
+        relabel: metres within which a marker that fits another label than its own takes that; see `relabelled`.
 
     Raises:
         UserError: a value out of range.
@@ -137,9 +140,7 @@ def velocity_term(attachment: Attachment, rate: float, config: StageTwoConfig) -
     return Velocity(((sigma * 120 / rate) ** -2).to(attachment.dtype), attachment.joints)
 
 
-def _first_poses(
-    problem: FrameProblem, prior: JointPrior, trunk: Tensor, rate: float, config: StageTwoConfig
-) -> Pose:
+def _first_poses(problem: FrameProblem, prior: JointPrior, trunk: Tensor, rate: float, config: StageTwoConfig) -> Pose:
     """Poses of all frames, from those of a few."""
     observed, reach, problem = problem.markers.observed, problem.markers.reach, problem.reaching(_REACH)
     t, seen = len(observed), observed[..., 0].isfinite()
