@@ -169,6 +169,7 @@ class CaptureWork:
                 latent,
                 expression_directions(body),
                 getattr(torch, self.dtype),
+                self.prior.fixed,
             )
             trunk = on_trunk(attachment)
             prior = joint_prior(body, self.prior)

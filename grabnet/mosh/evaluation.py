@@ -36,7 +36,7 @@ from grabnet.mosh.synthesis import Flaws, clean_markers, in_one_ring, object_mar
 
 # Published: mean, its standard deviation, median; millimetres (paper S.8).
 PUBLISHED = {"vanilla": ((4.76, 1.03, 4.55), (5.59, 1.86, 5.28)), "ours": ((3.09, 0.55, 2.80), (4.86, 1.83, 4.48))}
-_FACE_JOINTS = tuple(JOINTS.index(name) for name in ("jaw", "left_eye", "right_eye"))
+_JAW = JOINTS.index("jaw")  # the first joint beyond the limbs
 _HANDS = 25  # the first joint of a hand
 _BATCH = 64
 _METRICS = "metrics.json"  # what a search reads: grabnet/sweeps/runs.py
@@ -46,9 +46,8 @@ OBJECT_SMOOTH = 10  # frames to either side over which an object's pose is avera
 
 @dataclass(frozen=True)
 class Version:
-    """A way to solve. face: whether the face is solved for; the others are its settings."""
+    """A way to solve: its settings."""
 
-    face: bool
     stage_one: StageOneConfig
     stage_two: StageTwoConfig
     prior: PriorConfig
@@ -169,15 +168,13 @@ class Capture:
         both = np.concatenate([self.markers, self.object_markers], 1)
         both = spoilt(both, self.sequence.framerate, flaws, self.seed)
         seen, of_object = np.split(both, [self.markers.shape[1]], 1)
-        fixed = () if version.face else _FACE_JOINTS
+        fixed = version.prior.fixed
         trunk = on_trunk(Attachment(self.body, self.v_template, self.layout, self.guess))
         clear = undoubted(torch.as_tensor(seen), version.stage_one.doubt).numpy()
         chosen = choose_frames(
             clear, self.guess.numpy(), trunk.numpy(), version.stage_one.frames, self.sequence.name
         )  # fmt: skip
-        one = stage_one(
-            self.body, self.v_template, self.layout, clear[chosen], version.stage_one, version.prior, fixed=fixed
-        )
+        one = stage_one(self.body, self.v_template, self.layout, clear[chosen], version.stage_one, version.prior)
         attachment = Attachment(self.body, self.v_template, one.layout, one.latent, fixed=fixed)
         first = max(0, (len(seen) - frames) // 2)
         now = slice(first, first + frames)
@@ -189,7 +186,7 @@ class Capture:
         seconds = time.process_time() - began
         errors, jump = self._vertex_errors(pose, now)
         owner = self.body.weights.argmax(1)
-        parts = {"hands": owner >= _HANDS, "face": owner == _FACE_JOINTS[0], "body": owner < _FACE_JOINTS[0]}
+        parts = {"hands": owner >= _HANDS, "face": owner == _JAW, "body": owner < _JAW}
         shift, turn = self._object_errors(of_object[now], now)
         return Measured(
             places=1e3 * (one.latent - self.latent).norm(dim=-1).numpy(),

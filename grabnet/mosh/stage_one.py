@@ -99,7 +99,6 @@ def stage_one(
     config: StageOneConfig,
     prior: PriorConfig,
     directions: Tensor | None = None,
-    fixed: tuple[int, ...] = (),
 ) -> StageOne:
     """Find the places of a subject's markers.
 
@@ -111,11 +110,10 @@ def stage_one(
         config: the settings.
         prior: of poses.
         directions: (V, 3, S) expression directions that are solved for in each frame; not with betas.
-        fixed: joints that are not solved for.
     """
     shared_shape = config.betas > 0
     dirs = body.shapedirs[..., : config.betas] if shared_shape else directions
-    solver = _Solver(body, v_template, layout, torch.as_tensor(positions), config, prior, dirs, shared_shape, fixed)
+    solver = _Solver(body, v_template, layout, torch.as_tensor(positions), config, prior, dirs, shared_shape)
     for round_, factor in enumerate(config.annealing):
         if round_:
             solver.relabel()
@@ -135,11 +133,11 @@ def on_trunk(attachment: Attachment) -> Tensor:
 class _Solver:
     """The state of Stage I: places, poses, and what they are attached to."""
 
-    def __init__(self, body, v_template, layout, observed, config, prior, directions, shared_shape, fixed):
+    def __init__(self, body, v_template, layout, observed, config, prior, directions, shared_shape):
         self.body, self.config, self.shared_shape = body, config, shared_shape
         self.template, self.layout, self.given = v_template, layout, observed.double()
         self.observed = self.given
-        self.directions, self.fixed = directions, fixed
+        self.directions = directions
         self.prior_config, self.prior = prior, joint_prior(body, prior)
         self.distance = torch.tensor([marker.distance for marker in layout.markers]).double()
         self.spread = config.ring * _edges_around(v_template.double(), body.faces, layout)
@@ -171,7 +169,7 @@ class _Solver:
         self.normal = normals / normals.norm(dim=-1, keepdim=True)
         self.foot = (self.template.double()[corners] * weights.unsqueeze(-1)).sum(1)
         self.attachment = Attachment(
-            self.body, self.template, self.layout, self.latent, self.directions, torch.float64, self.fixed
+            self.body, self.template, self.layout, self.latent, self.directions, torch.float64, self.prior_config.fixed
         )
 
     def relabel(self) -> None:
