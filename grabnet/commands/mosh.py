@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
@@ -17,7 +19,7 @@ PATHS = {
     "draw": ("layout", "subject", "models", "output"),
     "synthesise": ("root", "out", "layout", "models"),
     "judge": ("truth", "solved", "contact", "models", "output"),
-    "evaluate": ("root", "layout", "output"),
+    "evaluate": ("root", "layout", "output", "sweep_dir"),
 }
 
 
@@ -86,9 +88,12 @@ def evaluate(cfg: DictConfig) -> int:
     """Measure how accurate mosh is, on synthetic captures of recordings.
 
     grabnet mosh evaluate [root=DIR] [subjects=[s8,s9]] [any value below]
+    grabnet mosh evaluate -m search=weights sweep_dir=DIR   # look for better values
     """
     from grabnet.mosh.evaluation import run
 
+    if HydraConfig.get().mode == RunMode.MULTIRUN:
+        cfg.output = HydraConfig.get().runtime.output_dir
     return run(instantiate(cfg, _convert_="object"))
 
 

@@ -16,7 +16,7 @@ from torch import Tensor
 from grabnet.body.skinning import forward_kinematics, tree_levels
 from grabnet.body.whole import BodyModel
 from grabnet.mosh.layouts import Layout
-from grabnet.mosh.so3 import exp
+from grabnet.mosh.so3 import exp, hat
 
 
 class Pose(NamedTuple):
@@ -61,6 +61,7 @@ class Attachment:
         directions: (V, 3, S) shape directions that are solved for; none when omitted.
         dtype: of all computations.
         fixed: joints that are not solved for, by number, besides those that move no marker.
+        device: of all computations.
 
     Attributes:
         joints: numbers of the joints solved for, n_joints of them.
@@ -76,6 +77,7 @@ class Attachment:
         directions: Tensor | None = None,
         dtype: torch.dtype = torch.float32,
         fixed: tuple[int, ...] = (),
+        device: torch.device | str = "cpu",
     ):
         corners = torch.tensor([marker.vertices for marker in layout.markers])
         at = torch.tensor([marker.weights for marker in layout.markers], dtype=torch.float64)
@@ -94,6 +96,10 @@ class Attachment:
         self._pair_up(fixed)
         self.n_shapes, self.n_joints = n_shapes, len(self.joints)
         self.n = 3 + 3 * self.n_joints + n_shapes
+        self.device = torch.device(device)
+        for name, value in vars(self).items():
+            if isinstance(value, Tensor):
+                setattr(self, name, value.to(self.device))
 
     def _pair_up(self, fixed: tuple[int, ...]) -> None:
         """Number the pairs of markers and joints that move them, ancestors included; those of the root come first."""
@@ -124,7 +130,7 @@ class Attachment:
         if self.n_shapes:
             rest = rest + torch.einsum("mds,fs->fmd", self.shapes, pose.shape)
         if self.correctives is not None:
-            feature = pose.rotations[:, 1:] - torch.eye(3, dtype=self.dtype)
+            feature = pose.rotations[:, 1:] - torch.eye(3, dtype=self.dtype, device=self.device)
             rest = rest + torch.einsum("mdjk,fjk->fmd", self.correctives, feature.flatten(-2))
         return rest
 
@@ -162,7 +168,7 @@ class Attachment:
 
     def _add_correctives(self, pose: Pose, placed: Placed, turned: Tensor) -> None:
         """What turning a joint changes at rest: d vec(R·exp(δ)) = vec(R·[e]×)."""
-        generators = _generators(self.dtype)
+        generators = hat(torch.eye(3, dtype=self.dtype, device=self.device))
         solved = self.joints[self.joints > 0]
         change = (pose.rotations[:, solved].unsqueeze(2) @ generators).flatten(-2)  # (F, joints, 3, 9)
         at_rest = torch.einsum("mdjk,fjck->fjcmd", self.correctives[:, :, solved - 1], change)
@@ -191,13 +197,5 @@ class Attachment:
 
     def neutral(self, f: int) -> Pose:
         """F frames at rest."""
-        eye = torch.eye(3, dtype=self.dtype).repeat(f, len(self.parents), 1, 1)
-        return Pose(eye, torch.zeros(f, 3, dtype=self.dtype), torch.zeros(f, self.n_shapes, dtype=self.dtype))
-
-
-def _generators(dtype: torch.dtype) -> Tensor:
-    """(3, 3, 3) cross-product matrices of the axes."""
-    x = torch.zeros(3, 3, 3, dtype=dtype)
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        x[i, k, j], x[i, j, k] = 1, -1
-    return x
+        eye = torch.eye(3, dtype=self.dtype, device=self.device).repeat(f, len(self.parents), 1, 1)
+        return Pose(eye, eye.new_zeros(f, 3), eye.new_zeros(f, self.n_shapes))

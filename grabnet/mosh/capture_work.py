@@ -170,6 +170,7 @@ class CaptureWork:
                 latent,
                 expression_directions(body),
                 getattr(torch, self.dtype),
+                self.prior.fixed,
             )
             trunk = on_trunk(attachment)
             refuse_other_size(observed, latent.numpy(), trunk.numpy(), path)

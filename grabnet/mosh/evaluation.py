@@ -25,6 +25,7 @@ from grabnet.io.files import existing, write_json
 from grabnet.io.provenance import provenance
 from grabnet.mosh.attachment import Attachment, Pose
 from grabnet.mosh.choosing import choose_frames
+from grabnet.mosh.doubting import undoubted
 from grabnet.mosh.layouts import Layout, ObjectLayout, read_layout, spread_markers
 from grabnet.mosh.placing import marker_positions
 from grabnet.mosh.priors import PriorConfig, joint_prior
@@ -35,17 +36,18 @@ from grabnet.mosh.synthesis import Flaws, clean_markers, in_one_ring, object_mar
 
 # Published: mean, its standard deviation, median; millimetres (paper S.8).
 PUBLISHED = {"vanilla": ((4.76, 1.03, 4.55), (5.59, 1.86, 5.28)), "ours": ((3.09, 0.55, 2.80), (4.86, 1.83, 4.48))}
-_FACE_JOINTS = tuple(JOINTS.index(name) for name in ("jaw", "left_eye", "right_eye"))
+_JAW = JOINTS.index("jaw")  # the first joint beyond the limbs
 _HANDS = 25  # the first joint of a hand
 _BATCH = 64
+_METRICS = "metrics.json"  # what a search reads: grabnet/sweeps/runs.py
+_OF_FRAMES = ("places", "vertices", "hands", "face", "body", "object_shift", "object_turn")
 OBJECT_SMOOTH = 10  # frames to either side over which an object's pose is averaged: mosh.yaml's
 
 
 @dataclass(frozen=True)
 class Version:
-    """A way to solve. face: whether the face is solved for; the others are its settings."""
+    """A way to solve: its settings."""
 
-    face: bool
     stage_one: StageOneConfig
     stage_two: StageTwoConfig
     prior: PriorConfig
@@ -67,11 +69,19 @@ class EvaluationConfig:
     seeds: Count
     versions: Annotated[dict[str, Version], Filled()]
     conditions: Annotated[dict[str, Flaws], Filled()]
+    solve: Annotated[list[Name], Filled()]
+    under: Annotated[list[Name], Filled()]
+    objective: str
+    sweep_dir: str
     output: str
     quiet: bool = False
 
     def __post_init__(self):
         in_range(self)
+        for key, known in (("solve", self.versions), ("under", self.conditions), ("objective", (*_OF_FRAMES, "jump"))):
+            given = [self.objective] if key == "objective" else getattr(self, key)
+            if unknown := [name for name in given if name not in known]:
+                raise UserError(f"{key} is {unknown[0]}; it can be {', '.join(known)}.")
 
 
 @dataclass(frozen=True)
@@ -119,6 +129,7 @@ def run(config: EvaluationConfig) -> int:
     for line in lines(table, config):
         print(line)
     write_json(Path(config.output) / "mosh.json", provenance(config=asdict(config), published=PUBLISHED, table=table))
+    write_json(Path(config.output) / _METRICS, metrics(table))
     print(f"Written to {Path(config.output) / 'mosh.json'}.")
     return 0
 
@@ -128,7 +139,7 @@ def measure_all(config: EvaluationConfig) -> dict[tuple[str, str], list[Measured
     body = BodyModel.open()
     layout = read_layout(config.layout, len(body.v_template), body.faces.numpy())
     found: dict[tuple[str, str], list[Measured]] = {}
-    paths, ways = _recordings(config), list(itertools.product(config.versions, config.conditions))
+    paths, ways = _recordings(config), list(itertools.product(config.solve, config.under))
     with steps("Solving synthetic captures", len(paths) * config.seeds * len(ways)) as counted:
         for path, seed in itertools.product(paths, range(config.seeds)):
             capture = Capture(_read(Path(config.root), path), body, layout, seed)
@@ -157,14 +168,13 @@ class Capture:
         both = np.concatenate([self.markers, self.object_markers], 1)
         both = spoilt(both, self.sequence.framerate, flaws, self.seed)
         seen, of_object = np.split(both, [self.markers.shape[1]], 1)
-        fixed = () if version.face else _FACE_JOINTS
+        fixed = version.prior.fixed
         trunk = on_trunk(Attachment(self.body, self.v_template, self.layout, self.guess))
+        clear = undoubted(torch.as_tensor(seen), version.stage_one.doubt).numpy()
         chosen = choose_frames(
-            seen, self.guess.numpy(), trunk.numpy(), version.stage_one.frames, self.sequence.name
+            clear, self.guess.numpy(), trunk.numpy(), version.stage_one.frames, self.sequence.name
         )  # fmt: skip
-        one = stage_one(
-            self.body, self.v_template, self.layout, seen[chosen], version.stage_one, version.prior, fixed=fixed
-        )
+        one = stage_one(self.body, self.v_template, self.layout, clear[chosen], version.stage_one, version.prior)
         attachment = Attachment(self.body, self.v_template, one.layout, one.latent, fixed=fixed)
         first = max(0, (len(seen) - frames) // 2)
         now = slice(first, first + frames)
@@ -176,7 +186,7 @@ class Capture:
         seconds = time.process_time() - began
         errors, jump = self._vertex_errors(pose, now)
         owner = self.body.weights.argmax(1)
-        parts = {"hands": owner >= _HANDS, "face": owner == _FACE_JOINTS[0], "body": owner < _FACE_JOINTS[0]}
+        parts = {"hands": owner >= _HANDS, "face": owner == _JAW, "body": owner < _JAW}
         shift, turn = self._object_errors(of_object[now], now)
         return Measured(
             places=1e3 * (one.latent - self.latent).norm(dim=-1).numpy(),
@@ -221,12 +231,19 @@ class Capture:
 def summary(measured: list[Measured]) -> dict[str, Any]:
     """Mean, standard deviation over frames (Stage I: over markers) and median of what was measured."""
     facts: dict[str, Any] = {}
-    for name in ("places", "vertices", "hands", "face", "body", "object_shift", "object_turn"):
+    for name in _OF_FRAMES:
         values = np.concatenate([getattr(one, name) for one in measured])
         facts[name] = [round(float(x), 3) for x in (values.mean(), values.std(), np.median(values))]
     facts["jump"] = round(max(one.jump for one in measured), 2)
     facts["frames_per_second"] = round(float(np.median([one.frames_per_second for one in measured])), 1)
     return facts
+
+
+def metrics(table: dict[str, Any]) -> dict[str, float]:
+    """Means of the table's lines, by what was measured."""
+    found = {name: [facts[name][0] for facts in table.values()] for name in _OF_FRAMES}
+    found["jump"] = [facts["jump"] for facts in table.values()]
+    return {name: round(float(np.mean(values)), 4) for name, values in found.items()}
 
 
 def lines(table: dict[str, Any], config: EvaluationConfig) -> list[str]:

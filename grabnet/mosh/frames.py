@@ -42,8 +42,8 @@ class FrameProblem:
 
     def normal(self, pose: Pose) -> Normal:
         """The frames' normal equations at a pose."""
-        f, n, dtype = len(pose.transl), self.attachment.n, self.attachment.dtype
-        normal = Normal(torch.zeros(f, n, n, dtype=dtype), torch.zeros(f, n, dtype=dtype), torch.zeros(f, dtype=dtype))
+        f, n, transl = len(pose.transl), self.attachment.n, pose.transl
+        normal = Normal(transl.new_zeros(f, n, n), transl.new_zeros(f, n), transl.new_zeros(f))
         placed = self.attachment.place(pose)
         self.markers.add_to(normal, placed, self.attachment.jacobian(pose, placed))
         self.prior.add_to(normal, pose, self.factor)
@@ -81,9 +81,9 @@ def solve_frames(problem: FrameProblem, pose: Pose, iterations: int, batch: int 
 def _solve(problem: FrameProblem, pose: Pose, iterations: int) -> tuple[Pose, Tensor]:
     attachment = problem.attachment
     pose = Pose(*(value.clone() for value in pose))
-    damping = torch.full((len(pose.transl),), 1e-3, dtype=torch.float64)
+    damping = torch.full_like(pose.transl[:, 0], 1e-3, dtype=torch.float64)
     cost = problem.cost(pose)
-    active = torch.arange(len(cost))
+    active = torch.arange(len(cost), device=cost.device)
     for _ in range(iterations):
         if not len(active):
             break

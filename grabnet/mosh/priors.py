@@ -1,13 +1,15 @@
 """What a body does without markers to say otherwise: a Gaussian for each joint, along its anatomical axes.
 
-Nothing is learned from recordings, so the same prior serves every model and every data set. All angles are radians.
+Nothing is learned from recordings, so the same prior serves every model and every data set. Hands may keep to the
+principal components of their model instead, which were learned. All angles are radians.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,6 +18,7 @@ from grabnet.body.anatomy import Anatomy
 from grabnet.body.skeleton import JOINTS, LEFT_HAND_JOINTS, RIGHT_HAND_JOINTS
 from grabnet.body.whole import BodyModel
 from grabnet.cli.checks import Positive, Range, Weight, in_range
+from grabnet.errors import UserError
 
 # Mean and spread of joints by x, y, z of the resting body (left, up, ahead); of a left joint, mirrored for the right.
 # Arms hang rather than spread, elbows and knees are hinges, slightly bent.
@@ -48,7 +51,11 @@ class PriorConfig:
         face: factor on those of jaw and eyes.
         flexion, abduction, twist: spread of a finger's joints about their axes, radians.
         flexed: their mean flexion, radians.
+        hand_components: principal components that a hand's fingers keep to, in place of their joints' axes; 0: none.
+        component: spread of a component's coefficient, radians.
+        beside: spread of what the components leave out, radians.
         expression: spread of expression values.
+        still: names of joints that are not solved for, and stay as they usually are.
         missing: how much the prior of a frame grows when all markers are missing, in proportion for fewer (ref. 5).
 
     Raises:
@@ -62,19 +69,39 @@ class PriorConfig:
     abduction: Positive = 0.15
     twist: Positive = 0.06
     flexed: Annotated[float, Range(-math.pi, math.pi)] = 0.35
+    hand_components: Annotated[int, Range(0, 45)] = 0
+    component: Positive = 0.6
+    beside: Positive = 0.05
     expression: Positive = 1.0
+    still: Sequence[str] = ("left_eye", "right_eye")
     missing: Weight = 2.5
 
     def __post_init__(self):
         in_range(self, "prior.")
+        if unknown := [name for name in self.still if name not in JOINTS]:
+            raise UserError(f"prior.still names {unknown[0]}; it can be {', '.join(JOINTS)}.")
+
+    @property
+    def fixed(self) -> tuple[int, ...]:
+        """Numbers of the joints that are not solved for."""
+        return tuple(JOINTS.index(name) for name in self.still)
 
 
-@dataclass(frozen=True)
-class JointPrior:
-    """mean (J, 3) rotation vectors; precision (J, 3, 3) inverse covariances; the pelvis is free."""
+class HandPrior(NamedTuple):
+    """joints (15,) numbers of a hand's; mean (45,) of their rotation vectors; covariance (45, 45)."""
+
+    joints: Tensor
+    mean: Tensor
+    covariance: Tensor
+
+
+class JointPrior(NamedTuple):
+    """mean (J, 3) rotation vectors; precision (J, 3, 3) inverse covariances, 0 of what is free, as the pelvis is; hands
+    whose joints have a prior together."""
 
     mean: Tensor
     precision: Tensor
+    hands: tuple[HandPrior, ...] = ()
 
 
 def joint_prior(body: BodyModel, config: PriorConfig) -> JointPrior:
@@ -106,7 +133,27 @@ def joint_prior(body: BodyModel, config: PriorConfig) -> JointPrior:
                 spread[:] = config.hands * torch.tensor([0.4, 0.3, 0.3]).double()
             mean[numbers[local]] = config.flexed * flexion * (0.5 if local > 12 else 1)
             precision[numbers[local]] = frame.T @ torch.diag(spread**-2) @ frame
-    return JointPrior(mean, precision)
+    if not config.hand_components:
+        return JointPrior(mean, precision)
+    hands = tuple(
+        _hand_prior(numbers, *parts, config)
+        for numbers, parts in (
+            (LEFT_HAND_JOINTS, (body.hands_meanl, body.hands_componentsl)),
+            (RIGHT_HAND_JOINTS, (body.hands_meanr, body.hands_componentsr)),
+        )
+    )
+    for hand in hands:
+        precision[hand.joints] = 0
+    return JointPrior(mean, precision, hands)
+
+
+def _hand_prior(numbers: tuple[int, ...], mean: Tensor, components: Tensor, config: PriorConfig) -> HandPrior:
+    """The prior of a hand's fingers by the first of its model's orthonormal components (45, 45)."""
+    kept = components[: config.hand_components].double()
+    along = kept.mT @ kept
+    beside = torch.eye(len(along)).double() - along
+    covariance = config.hands**2 * (config.component**2 * along + config.beside**2 * beside)
+    return HandPrior(torch.tensor(numbers[1:]), mean.double(), covariance)
 
 
 def _across(flexion: Tensor, body: BodyModel, numbers: tuple[int, ...], local: int) -> Tensor:

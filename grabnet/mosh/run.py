@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 import trimesh
 
 from grabnet.body.anatomy import vertex_normals
@@ -36,6 +37,7 @@ from grabnet.mosh.assembling import NO_OBJECT, TABLE_MESH
 from grabnet.mosh.capture_work import CaptureWork, Placement, Reading, expression_directions, read_report, report_path
 from grabnet.mosh.captures import find_captures
 from grabnet.mosh.choosing import choose_frames
+from grabnet.mosh.doubting import undoubted
 from grabnet.mosh.layouts import Layout, read_layout, read_object_layouts, write_layout
 from grabnet.mosh.placing import marker_positions
 from grabnet.mosh.priors import PriorConfig
@@ -180,6 +182,7 @@ def _placement(config: MoshConfig, subject: Subject, layout: Layout, files: list
     for note in notes:
         print(note)
     positions = np.concatenate([markers.pick(layout.labels).positions for markers in own])
+    positions = undoubted(torch.as_tensor(positions), config.stage_one.doubt).numpy()
     body, template = subject.body, subject.v_template
     normals = vertex_normals(template.double(), body.faces).numpy()
     resting = marker_positions(layout, template.double().numpy(), normals)

@@ -25,6 +25,7 @@ from grabnet.mosh.frames import FrameProblem, missing_factor
 from grabnet.mosh.layouts import Layout
 from grabnet.mosh.placing import marker_positions
 from grabnet.mosh.priors import PriorConfig, joint_prior
+from grabnet.mosh.relabelling import relabelled
 from grabnet.mosh.starting import start
 from grabnet.mosh.terms import MarkerTerm, PosePrior
 
@@ -46,6 +47,8 @@ class StageOneConfig:
         annealing: factors of the pose prior, one round each (ref. 5).
         iterations: of each round.
         betas: shape coefficients to solve for; 0 where a scan gives the shape.
+        doubt: metres by which a marker's distances to its neighbours may be unusual; see `undoubted`.
+        relabel: metres within which a marker that fits another label than its own takes that; see `relabelled`.
 
     Raises:
         UserError: a value out of range.
@@ -60,6 +63,8 @@ class StageOneConfig:
     annealing: Annotated[Sequence[Positive], Filled()] = (1.0, 1.0, 1.0)
     iterations: Count = 12
     betas: Amount = 0
+    doubt: Positive = 0.005
+    relabel: Positive = 0.01
 
     def __post_init__(self):
         in_range(self, "stage_one.")
@@ -94,7 +99,6 @@ def stage_one(
     config: StageOneConfig,
     prior: PriorConfig,
     directions: Tensor | None = None,
-    fixed: tuple[int, ...] = (),
 ) -> StageOne:
     """Find the places of a subject's markers.
 
@@ -106,12 +110,13 @@ def stage_one(
         config: the settings.
         prior: of poses.
         directions: (V, 3, S) expression directions that are solved for in each frame; not with betas.
-        fixed: joints that are not solved for.
     """
     shared_shape = config.betas > 0
     dirs = body.shapedirs[..., : config.betas] if shared_shape else directions
-    solver = _Solver(body, v_template, layout, torch.as_tensor(positions), config, prior, dirs, shared_shape, fixed)
+    solver = _Solver(body, v_template, layout, torch.as_tensor(positions), config, prior, dirs, shared_shape)
     for round_, factor in enumerate(config.annealing):
+        if round_:
+            solver.relabel()
         for number in range(config.iterations):
             solver.step(factor, 3 if round_ == 0 else 1)
             if number % _REATTACH == _REATTACH - 1:
@@ -128,10 +133,11 @@ def on_trunk(attachment: Attachment) -> Tensor:
 class _Solver:
     """The state of Stage I: places, poses, and what they are attached to."""
 
-    def __init__(self, body, v_template, layout, observed, config, prior, directions, shared_shape, fixed):
+    def __init__(self, body, v_template, layout, observed, config, prior, directions, shared_shape):
         self.body, self.config, self.shared_shape = body, config, shared_shape
-        self.template, self.layout, self.observed = v_template, layout, observed.double()
-        self.directions, self.fixed = directions, fixed
+        self.template, self.layout, self.given = v_template, layout, observed.double()
+        self.observed = self.given
+        self.directions = directions
         self.prior_config, self.prior = prior, joint_prior(body, prior)
         self.distance = torch.tensor([marker.distance for marker in layout.markers]).double()
         self.spread = config.ring * _edges_around(v_template.double(), body.faces, layout)
@@ -163,8 +169,12 @@ class _Solver:
         self.normal = normals / normals.norm(dim=-1, keepdim=True)
         self.foot = (self.template.double()[corners] * weights.unsqueeze(-1)).sum(1)
         self.attachment = Attachment(
-            self.body, self.template, self.layout, self.latent, self.directions, torch.float64, self.fixed
+            self.body, self.template, self.layout, self.latent, self.directions, torch.float64, self.prior_config.fixed
         )
+
+    def relabel(self) -> None:
+        """Give markers the labels that they fit."""
+        self.observed = relabelled(self.attachment.place(self.pose).points, self.given, self.config.relabel)
 
     def step(self, factor: float, reach: float) -> None:
         """One step of Levenberg and Marquardt on places and poses together."""

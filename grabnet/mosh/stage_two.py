@@ -1,7 +1,8 @@
 """Stage II: the pose of every frame, given where the markers sit (paper 3.2, S.8).
 
-Few frames are solved from nothing, more from what lies between those, and then all together from what lies between
-these: a handful of Gauss-Newton sweeps suffices.
+Few frames are solved from nothing, more from what lies between those, then these together, and then all from what lies
+between: a handful of Gauss-Newton sweeps suffices. Markers in doubt are left out until the body's pose can say what
+their labels are.
 """
 
 from __future__ import annotations
@@ -16,13 +17,16 @@ from torch import Tensor
 from grabnet.cli.checks import Batch, Count, Positive, Range, Weight, in_range
 from grabnet.errors import UserError
 from grabnet.mosh.attachment import Attachment, Pose
+from grabnet.mosh.doubting import undoubted
 from grabnet.mosh.frames import FrameProblem, missing_factor, solve_frames
 from grabnet.mosh.priors import JointPrior, PriorConfig
+from grabnet.mosh.relabelling import relabelled
 from grabnet.mosh.so3 import exp, log
 from grabnet.mosh.starting import start
 from grabnet.mosh.sweeps import Windows, sweep
 from grabnet.mosh.terms import MarkerTerm, PosePrior, Velocity
 
+_BATCH = 256  # frames whose labels are looked at together, which bounds memory
 _FINGERS = 25  # the first joint of a hand
 _ROUGH, _FINE = 0.5, 1 / 15  # seconds between frames solved from nothing, and from what lies between those
 _REACH = 20.0  # of the markers where a pose may be far off, standard deviations
@@ -44,6 +48,9 @@ class StageTwoConfig:
         smooth: seconds over which the expected change is averaged; 0 to expect none.
         sweeps: over all frames.
         window, windows: frames of a window and windows side by side, which bound memory.
+        stretch: frames that are solved as one recording; longer ones are cut, which bounds memory, too.
+        doubt: metres by which a marker's distances to its neighbours may be unusual; see `undoubted`.
+        relabel: metres within which a marker that fits another label than its own takes that; see `relabelled`.
 
     Raises:
         UserError: a value out of range.
@@ -58,6 +65,9 @@ class StageTwoConfig:
     sweeps: Count = 3
     window: Annotated[int, Range(2, 65_536)] = 64
     windows: Batch = 4
+    stretch: Annotated[int, Range(16, 1_000_000)] = 8192
+    doubt: Positive = 0.005
+    relabel: Positive = 0.01
 
     def __post_init__(self):
         in_range(self, "stage_two.")
@@ -71,7 +81,7 @@ def stage_two(
     prior_config: PriorConfig,
     config: StageTwoConfig,
     trunk: Tensor,
-    progress: Callable[[int], None] = lambda frames: None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> Pose:
     """Solve a recording.
 
@@ -82,24 +92,75 @@ def stage_two(
         prior, prior_config: of poses.
         config: the settings.
         trunk: (M,) which markers are on the trunk.
-        progress: is given the frames done, in shares of all the work.
+        progress: is given shares of all the work, as they are done.
 
     Raises:
         UserError: no frame shows three markers.
     """
-    t = len(observed)
-    if not (observed[..., 0].isfinite().sum(1) >= 3).any():
+    shown = observed[..., 0].isfinite().sum(1) >= 3
+    if not shown.any():
         raise UserError("no frame shows three markers of the body")
-    problem = frame_problem(attachment, observed, prior, prior_config, config)
-    pose = _first_poses(problem, prior, trunk, rate)
-    progress(t // 4)
+    t = len(observed)
+    result, known = attachment.neutral(t), torch.zeros_like(shown)
+    for first, end in _stretches(t, config.stretch):
+        if not shown[first:end].any():
+            continue
+        share = (end - first) / t
+        pose = _solved(
+            attachment,
+            observed[first:end],
+            rate,
+            prior,
+            prior_config,
+            config,
+            trunk,
+            lambda s, share=share: progress(s * share),
+        )
+        shared = known[first:end].nonzero().squeeze(1)  # with the stretch before: from its poses to the new ones
+        fade = (shared + 1).to(pose.transl.dtype) / (len(shared) + 1)
+        pose.put(shared, mixed(result.frames(first + shared), pose.frames(shared), fade))
+        result.put(slice(first, end), pose)
+        known[first:end] = True
+    at = known.nonzero().squeeze(1)
+    return result if len(at) == t else between(result.frames(at), at, torch.arange(t, device=at.device))
+
+
+def _stretches(t: int, length: int) -> list[tuple[int, int]]:
+    """First frame and end of stretches, each of which overlaps with the next."""
+    overlap = length // 16
+    return [(first, min(first + length, t)) for first in range(0, max(1, t - overlap), length - overlap)]
+
+
+def _solved(
+    attachment: Attachment,
+    observed: Tensor,
+    rate: float,
+    prior: JointPrior,
+    prior_config: PriorConfig,
+    config: StageTwoConfig,
+    trunk: Tensor,
+    progress: Callable[[float], None],
+) -> Pose:
+    """Solve a stretch; arguments as of `stage_two`."""
+    t = len(observed)
+    seen = undoubted(observed, config.doubt)
+    problem = frame_problem(attachment, seen, prior, prior_config, config)
+    pose = _first_poses(problem, prior, trunk, rate, config)
+    progress(1 / 4)
     velocity = velocity_term(attachment, rate, config)
     windows = Windows(config.window, config.windows, config.smooth * rate)
-    damping = torch.full((t,), 1e-4, dtype=torch.float64)
+    damping = torch.full((t,), 1e-4, dtype=torch.float64, device=observed.device)
     for number in range(config.sweeps if t > 1 else 0):
+        labelled = _relabelled(attachment, pose, observed, config.relabel)
+        problem = frame_problem(attachment, labelled, prior, prior_config, config)
         pose = sweep(problem, velocity, pose, damping, windows, number)
-        progress(t * 3 // 4 // config.sweeps)
+        progress(3 / 4 / config.sweeps)
     return pose
+
+
+def _relabelled(attachment: Attachment, pose: Pose, observed: Tensor, reach: float) -> Tensor:
+    parts = [slice(start, start + _BATCH) for start in range(0, len(observed), _BATCH)]
+    return torch.cat([relabelled(attachment.place(pose.frames(now)).points, observed[now], reach) for now in parts])
 
 
 def frame_problem(
@@ -107,8 +168,8 @@ def frame_problem(
 ) -> FrameProblem:
     """The frames by themselves."""
     observed = observed.to(attachment.dtype)
-    sigma = torch.full((attachment.n_markers,), config.noise, dtype=attachment.dtype)
-    shape_sigma = torch.full((attachment.n_shapes,), prior_config.expression)
+    sigma = torch.full((attachment.n_markers,), config.noise, dtype=attachment.dtype, device=attachment.device)
+    shape_sigma = torch.full((attachment.n_shapes,), prior_config.expression, device=attachment.device)
     return FrameProblem(
         attachment,
         MarkerTerm(observed, sigma, config.reach),
@@ -120,11 +181,11 @@ def frame_problem(
 def velocity_term(attachment: Attachment, rate: float, config: StageTwoConfig) -> Velocity:
     """What joins frames; spreads grow with the time between them."""
     turn = torch.where(attachment.joints >= _FINGERS, config.finger_turn, config.turn).repeat_interleave(3)
-    sigma = torch.cat([torch.full((3,), config.shift), turn, torch.full((attachment.n_shapes,), 0.1)])
+    sigma = torch.cat([turn.new_full((3,), config.shift), turn, turn.new_full((attachment.n_shapes,), 0.1)])
     return Velocity(((sigma * 120 / rate) ** -2).to(attachment.dtype), attachment.joints)
 
 
-def _first_poses(problem: FrameProblem, prior: JointPrior, trunk: Tensor, rate: float) -> Pose:
+def _first_poses(problem: FrameProblem, prior: JointPrior, trunk: Tensor, rate: float, config: StageTwoConfig) -> Pose:
     """Poses of all frames, from those of a few."""
     observed, reach, problem = problem.markers.observed, problem.markers.reach, problem.reaching(_REACH)
     t, seen = len(observed), observed[..., 0].isfinite()
@@ -132,12 +193,21 @@ def _first_poses(problem: FrameProblem, prior: JointPrior, trunk: Tensor, rate: 
     pose, cost = start(problem.frames(rough), prior, trunk)
     good = ~_failed(cost, seen[rough])
     rough, pose = rough[good], pose.frames(good)
-    fine = torch.arange(0, t, max(1, round(_FINE * rate)))
+    every = max(1, round(_FINE * rate))
+    fine = torch.arange(0, t, every, device=observed.device)
     pose, _ = solve_frames(problem.frames(fine), between(pose, rough, fine), 8)
     pose = _second_opinion(problem.frames(fine).reaching(reach), fine, pose)
     good = (seen[fine].sum(1) >= 3) & pose.transl.isfinite().all(1)
     good = good if good.any() else torch.ones_like(good)
-    return between(pose.frames(good), fine[good], torch.arange(t))
+    pose, fine = pose.frames(good), fine[good]
+    if len(fine) > 1:
+        # A hidden joint has fallen to its usual turn: what lies before and after says better where it is.
+        velocity = velocity_term(problem.attachment, rate / every, config)
+        damping = torch.full((len(fine),), 1e-4, dtype=torch.float64, device=fine.device)
+        for number in range(2):
+            windows = Windows(config.window, config.windows)
+            pose = sweep(problem.frames(fine).reaching(reach), velocity, pose, damping, windows, number)
+    return between(pose, fine, torch.arange(t, device=fine.device))
 
 
 def _second_opinion(problem: FrameProblem, frames: Tensor, pose: Pose) -> Pose:
@@ -175,9 +245,12 @@ def between(pose: Pose, at: Tensor, asked: Tensor) -> Pose:
     """Poses at frames `asked` from those at frames `at` (ascending): evenly in between, held beyond."""
     after = torch.searchsorted(at, asked).clamp(max=len(at) - 1)
     before = torch.where(at[after] > asked, after - 1, after).clamp(min=0)
-    span = (at[after] - at[before]).clamp(min=1)
-    share = ((asked - at[before]) / span).clamp(0, 1).to(pose.transl.dtype)
-    turn = log(pose.rotations[before].mT @ pose.rotations[after]) * share[:, None, None]
-    mix = [a + share.unsqueeze(1) * (b - a) for a, b in ((pose.transl[before], pose.transl[after]),
-                                                        (pose.shape[before], pose.shape[after]))]  # fmt: skip
-    return Pose(pose.rotations[before] @ exp(turn), *mix)
+    share = ((asked - at[before]) / (at[after] - at[before]).clamp(min=1)).clamp(0, 1).to(pose.transl.dtype)
+    return mixed(pose.frames(before), pose.frames(after), share)
+
+
+def mixed(one: Pose, other: Pose, share: Tensor) -> Pose:
+    """Poses on the way from one to the other, frame by frame; share (F,) is 0 at the one and 1 at the other."""
+    turn = log(one.rotations.mT @ other.rotations) * share[:, None, None]
+    mix = [a + share.unsqueeze(1) * (b - a) for a, b in ((one.transl, other.transl), (one.shape, other.shape))]
+    return Pose(one.rotations @ exp(turn), *mix)

@@ -13,7 +13,6 @@ from grabnet.mosh.so3 import exp
 
 # Reach of the markers, standard deviations, from far to near: those far off pull at first, and are outliers later.
 _REACHES = (200.0, 60.0, 20.0)
-_HEADINGS = 8
 
 
 def start(problem: FrameProblem, prior: JointPrior, trunk: Tensor, iterations: int = 12) -> tuple[Pose, Tensor]:
@@ -41,8 +40,8 @@ def start(problem: FrameProblem, prior: JointPrior, trunk: Tensor, iterations: i
 
 def _laid_over(attachment: Attachment, observed: Tensor, prior: JointPrior, trunk: Tensor) -> Pose:
     neutral = attachment.neutral(len(observed))
-    usual = exp(prior.mean.to(attachment.dtype))
-    neutral.rotations[:] = torch.where(torch.arange(len(usual))[:, None, None] > 0, usual, neutral.rotations[0])
+    usual = exp(prior.mean.to(attachment.device, attachment.dtype))
+    neutral.rotations[:, 1:] = usual[1:]
     resting = attachment.place(neutral).points
     seen = observed[..., 0].isfinite()
     enough = (seen & trunk).sum(1) >= 4

@@ -63,13 +63,14 @@ def sweep(
             [_solved(hessian, gradient, velocity, piece) for piece in _pieces(now, low, high, windows.length)]
         )
         there = part.attachment.moved(here, delta.to(part.attachment.dtype))
-        window = (torch.arange(low, high) - now[0]) // windows.length
+        window = (torch.arange(low, high, device=cost.device) - now[0]) // windows.length
         before = cost + _joined(velocity, here, expected, low, high)
         after = part.cost(there) + _joined(velocity, there, expected, low, high)
-        change = torch.zeros(len(now), dtype=torch.float64).index_add_(0, window, (after - before).double())
+        change = delta.new_zeros(len(now)).index_add_(0, window, (after - before).double())
         worse = (change > 1e-6 * before.sum())[window]
         damping[frames] = torch.where(worse, damping[frames] * 10, damping[frames] * 0.2).clamp(1e-6, 1e3)
-        result.put(torch.arange(low, high)[~worse], there.frames(~worse))
+        for value, old, new in zip(result, here, there, strict=True):
+            value[frames] = torch.where(worse.view(-1, *[1] * (value.dim() - 1)), old, new)
     return result
 
 
@@ -118,6 +119,6 @@ def _joined(velocity: Velocity, pose: Pose, expected: Tensor, low: int, high: in
 def _smooth(steps: Tensor, sigma: float) -> Tensor:
     """Each change averaged with those around it, weighed by a Gaussian."""
     reach = int(3 * sigma)
-    kernel = torch.exp(-0.5 * (torch.arange(-reach, reach + 1, dtype=steps.dtype) / sigma) ** 2)
+    kernel = torch.exp(-0.5 * (torch.arange(-reach, reach + 1, dtype=steps.dtype, device=steps.device) / sigma) ** 2)
     padded = torch.nn.functional.pad(steps.T.unsqueeze(1), (reach, reach), mode="replicate")
     return torch.nn.functional.conv1d(padded, (kernel / kernel.sum()).view(1, 1, -1)).squeeze(1).T

@@ -7,12 +7,13 @@ its parts compare. Every term gives its exact gradient; `Normal` gathers JᵀJ a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from grabnet.mosh.attachment import Attachment, Placed, Pose
-from grabnet.mosh.priors import JointPrior
+from grabnet.mosh.priors import HandPrior, JointPrior
 from grabnet.mosh.so3 import log, log_change
 
 
@@ -79,14 +80,17 @@ class PosePrior:
 
     def __init__(self, attachment: Attachment, prior: JointPrior, shape_sigma: Tensor):
         self._joints, self._dtype = attachment.joints, attachment.dtype
-        self.mean = prior.mean[self._joints].to(self._dtype)
-        self.precision = prior.precision[self._joints].to(self._dtype)
-        self._shape_weight = shape_sigma.to(self._dtype) ** -2
+        to = {"device": attachment.device, "dtype": self._dtype}
+        self.mean, self.precision = (value.to(**to)[self._joints] for value in (prior.mean, prior.precision))
+        self._hands = [hand for one in prior.hands if (hand := _HandTerm.of(one, self._joints, to))]
+        self._shape_weight = shape_sigma.to(**to) ** -2
 
     def cost(self, pose: Pose, factor: Tensor) -> Tensor:
         """(F,); factor (F,) multiplies each frame's prior."""
         off = log(pose.rotations[:, self._joints]) - self.mean
         joints = torch.einsum("fja,jab,fjb->f", off, self.precision, off)
+        for hand in self._hands:
+            joints = joints + hand.square(off + self.mean)
         return factor * (joints + (self._shape_weight * pose.shape.square()).sum(-1)) / 2
 
     def add_to(self, normal: Normal, pose: Pose, factor: Tensor) -> None:
@@ -101,11 +105,49 @@ class PosePrior:
         normal.gradient[:, 3:end] += factor.unsqueeze(1) * pull.flatten(1)
         blocks = normal.hessian[:, 3:end, 3:end].unflatten(1, (-1, 3)).unflatten(3, (-1, 3))
         blocks.diagonal(dim1=1, dim2=3).add_((factor[:, None, None, None] * (pulled @ change)).permute(0, 2, 3, 1))
+        for hand in self._hands:
+            hand.add_to(normal, turn, change, factor)
         if pose.shape.shape[1]:
             weight = factor.unsqueeze(1) * self._shape_weight
             normal.cost += (weight * pose.shape.square()).sum(-1) / 2
             normal.gradient[:, end:] += weight * pose.shape
             normal.hessian[:, end:, end:].diagonal(dim1=1, dim2=2).add_(weight)
+
+
+class _HandTerm(NamedTuple):
+    """The prior of a hand's joints together: places (k,) of these among those solved for, mean (3k,), precision
+    (3k, 3k)."""
+
+    places: Tensor
+    mean: Tensor
+    precision: Tensor
+
+    @classmethod
+    def of(cls, prior: HandPrior, joints: Tensor, to: dict[str, Any]) -> _HandTerm | None:
+        """The part of a prior that is about joints solved for; None where none is."""
+        own = torch.isin(prior.joints, joints.cpu())
+        if not own.any():
+            return None
+        kept = own.repeat_interleave(3)
+        precision = torch.linalg.inv(prior.covariance[kept][:, kept])
+        places = torch.searchsorted(joints, prior.joints[own].to(joints.device))
+        return cls(places, prior.mean[kept].to(**to), precision.to(**to))
+
+    def square(self, turn: Tensor) -> Tensor:
+        """(F,) squared distance of rotation vectors (F, J, 3) from the mean, in standard deviations."""
+        off = turn[:, self.places].flatten(1) - self.mean
+        return ((off @ self.precision) * off).sum(1)
+
+    def add_to(self, normal: Normal, turn: Tensor, change: Tensor, factor: Tensor) -> None:
+        """Add the term at rotation vectors (F, J, 3), which change by (F, J, 3, 3) with a step."""
+        pull = ((turn[:, self.places].flatten(1) - self.mean) @ self.precision).unflatten(1, (-1, 3))
+        change = change[:, self.places]
+        rows = (3 + 3 * self.places.unsqueeze(1) + torch.arange(3, device=self.places.device)).flatten()
+        normal.cost += factor * self.square(turn) / 2
+        normal.gradient[:, rows] += factor.unsqueeze(1) * (change.mT @ pull.unsqueeze(-1)).flatten(1)
+        k = len(self.places)
+        blocks = torch.einsum("fkba,kblc,flcd->fkald", change, self.precision.view(k, 3, k, 3), change)
+        normal.hessian[:, rows.unsqueeze(1), rows] += factor[:, None, None] * blocks.reshape(-1, 3 * k, 3 * k)
 
 
 class Velocity:

@@ -46,7 +46,7 @@ def _keys(runs: Sequence[Run]) -> list[str]:
 def row(run: Run, objective: str) -> Row:
     """One line of the table: the swept values, the status, and the objective and v2v (mm) of the best epoch."""
     epochs = read_history(run.folder)
-    best = best_epoch(epochs, objective) or {}
+    best = _best(run, objective) or {}
     return {
         **run.values,
         "status": run.status,
@@ -56,6 +56,13 @@ def row(run: Run, objective: str) -> Row:
         "folder": run.folder.name,
         "reason": run.reason,
     }
+
+
+def _best(run: Run, objective: str) -> dict[str, float] | None:
+    """What was measured at the best epoch, or in all, by a run without epochs; None where nothing was."""
+    if epochs := read_history(run.folder):
+        return best_epoch(epochs, objective)
+    return run.metrics() if run.status == DONE else None
 
 
 def _table(rows: Sequence[Row], runs: Sequence[Run]) -> Table:
@@ -117,7 +124,7 @@ def _scatter(panel: Axes, runs: Sequence[Run], key: str, objective: str) -> None
         places = [float(names.index(value)) for value in values]
         panel.set_xticks(range(len(names)), names)
     for run, place in zip(runs, places, strict=True):
-        if best := best_epoch(read_history(run.folder), objective):
+        if best := _best(run, objective):
             panel.plot(place, best[objective], "o", color=COLOURS[run.status], alpha=0.8)
         else:  # nothing measured: a cross at the foot
             panel.plot(place, 0.02, "x", color=COLOURS[run.status], transform=panel.get_xaxis_transform())

@@ -59,20 +59,28 @@ def test_markers_on_vertices_lie_where_skinning_of_the_whole_body_puts_them(acto
     torch.testing.assert_close(attachment.place(pose).points, actor.vertices[:, corners], atol=2e-6, rtol=0)
 
 
-def problem_of(actor, attachment: Attachment, frames: slice, reach: float = 5.0) -> FrameProblem:
+def problem_of(
+    actor, attachment: Attachment, frames: slice, reach: float = 5.0, settings: PriorConfig | None = None
+) -> FrameProblem:
     observed = torch.as_tensor(actor.markers[frames]).clone()
     observed[:, 3] += 0.02  # an outlier
     observed[0, 10:14] = torch.nan
-    prior = PosePrior(attachment, joint_prior(actor.body, PriorConfig()), torch.ones(attachment.n_shapes).double())
+    prior = PosePrior(
+        attachment, joint_prior(actor.body, settings or PriorConfig()), torch.ones(attachment.n_shapes).double()
+    )
     sigma = torch.full((attachment.n_markers,), 0.002, dtype=torch.float64)
     factor = torch.linspace(1, 2, len(observed)).double()
     return FrameProblem(attachment, MarkerTerm(observed, sigma, reach), prior, factor)
 
 
-def test_gradient_of_markers_and_prior(actor):
-    attachment = attachment_of(actor, shapes=2)
+HANDS = PriorConfig(hand_components=6)
+
+
+@pytest.mark.parametrize("case", [{}, {"settings": HANDS}, {"settings": HANDS, "fixed": (27, 40)}])
+def test_gradient_of_markers_and_prior(actor, case):
+    attachment = attachment_of(actor, shapes=2, fixed=case.pop("fixed", ()))
     pose = pose_of(actor, attachment)
-    problem = problem_of(actor, attachment, slice(0, 2))
+    problem = problem_of(actor, attachment, slice(0, 2), **case)
     normal = problem.normal(pose)
     torch.testing.assert_close(normal.cost, problem.cost(pose))
     expected = numeric(attachment, pose, lambda p, frames: problem.frames(frames).cost(p))
@@ -97,6 +105,22 @@ def test_hessian_of_markers_and_prior_without_outliers_is_that_of_their_jacobian
     prior = numeric(attachment, pose, pulled)
     expected = jacobian @ jacobian.mT + prior @ prior.mT
     torch.testing.assert_close(problem.normal(pose).hessian, expected, atol=2e-2, rtol=1e-5)
+
+
+def test_hands_prior_is_a_gaussian_along_the_components_and_beside(actor):
+    """Curvature of the cost in a few directions, at the mean, where steps on rotations and rotation vectors agree."""
+    attachment, prior = attachment_of(actor), joint_prior(actor.body, HANDS)
+    markers = torch.full((1, 99, 3), torch.nan)
+    term = PosePrior(attachment, prior, torch.zeros(0))
+    problem = FrameProblem(attachment, MarkerTerm(markers, torch.ones(99).double(), 5.0), term, torch.ones(1).double())
+    mean, components = actor.body.hands_meanr.double(), actor.body.hands_componentsr.double()
+    for k, spread in ((0, 0.6), (5, 0.6), (6, 0.05), (44, 0.05)):
+        costs = []
+        for step in (0.0, spread, 2 * spread):
+            pose = attachment.neutral(1)
+            pose.rotations[:, 40:55] = exp((mean + step * components[k]).view(15, 3))
+            costs.append(problem.cost(pose).item())
+        assert costs[1] - costs[0] == pytest.approx(0.5) and costs[2] - costs[0] == pytest.approx(2.0)
 
 
 def test_gradient_of_the_velocity_term(actor):
