@@ -109,6 +109,7 @@ def run(config: MoshConfig) -> int:
     began, subject = time.monotonic(), Subject(config.name, config.gender, config.subject, config.models)
     body = subject.body
     subject.v_template  # noqa: B018, refused before anything is written
+    _check_shape(config, body.n_betas)
     layout = read_layout(config.layout, len(body.v_template), body.faces.numpy())
     files = find_captures(config.capture)
     captures = {f"{config.name}/{path.stem}": path for path in files}
@@ -138,6 +139,17 @@ def run(config: MoshConfig) -> int:
     for failure in failures:
         say(f"{failure.name}: {failure.failure}")
     return 1 if failures else 0
+
+
+def _check_shape(config: MoshConfig, n_betas: int) -> None:
+    """Say or refuse what would silently give another body than the subject's."""
+    betas = config.stage_one.betas
+    if betas > n_betas:
+        raise UserError(f"stage_one.betas is {betas}; the body model has {n_betas} betas.")
+    if betas and config.subject is not None:
+        raise UserError(f"{config.subject} gives the subject's shape: stage_one.betas must be 0, not {betas}.")
+    if not betas and config.subject is None:
+        print("No scan of the subject: the model's mean shape stands for theirs. Give subject= or fit=unscanned.")
 
 
 def _recipe(config: MoshConfig) -> dict[str, Any]:
@@ -268,11 +280,16 @@ def _summarise(config: MoshConfig, reports: dict[str, Any], outcomes: list[Outco
     for name, report in reports.items():
         for note in report["notes"]:
             print(f"{name}: {note}")
-        body, thing = report["body"], report["object"]
-        distrusted = len({frame for frames_ in body["flagged"].values() for frame in frames_})
-        line = f"{name}: {body['frames']} frames, markers {body['residual_mm']['median']} mm off (median)"
-        line += f", {distrusted} frames flagged" * bool(distrusted)
-        print(line + (f", {thing['name']} {thing['residual_mm']} mm" if thing else ""))
+        print(f"{name}: {_in_short(report)}")
     if frames and cpu:
         print(f"Solved {frames} frames at {frames / cpu:.0f} frames per second of one core.")
     print(f"The recordings are in {config.root / 'grab'}.")
+
+
+def _in_short(report: dict[str, Any]) -> str:
+    """How good a recording is; what was not seen, or not believed, stands beside the distances."""
+    body, thing = report["body"], report["object"]
+    line = f"{body['frames']} frames, markers {body['residual_mm']['median']} mm off (median)"
+    line += f", {body['missing']:.1%} missing, {body['outliers']:.1%} outliers"
+    line += f", {body['flagged_frames']} frames flagged" * bool(body["flagged_frames"])
+    return line + (f", {thing['name']} {thing['residual_mm']} mm" if thing else "")
