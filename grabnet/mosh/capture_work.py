@@ -33,6 +33,7 @@ from grabnet.mosh.rigid import DegenerateMarkersError, RigidMotion, follow
 from grabnet.mosh.stage_one import on_trunk
 from grabnet.mosh.stage_two import StageTwoConfig, stage_two
 from grabnet.mosh.subjects import Subject
+from grabnet.mosh.tallies import Tally
 from grabnet.preprocess.backends import Outcome
 from grabnet.preprocess.sequence_work import peak_memory
 
@@ -117,6 +118,7 @@ class CaptureWork:
         max_gap: frames of an object's gap that is interpolated.
         tolerance: metres beyond which an object's marker is an outlier.
         smooth: seconds to either side over which an object's pose is averaged.
+        pictures: whether to draw the quality.
         threads: of torch.
         dtype: float32, or float64 at twice the time.
     """
@@ -134,6 +136,7 @@ class CaptureWork:
     max_gap: int
     tolerance: float
     smooth: float
+    pictures: bool
     threads: int
     dtype: str = "float32"
 
@@ -176,7 +179,11 @@ class CaptureWork:
             trunk = on_trunk(attachment)
             prior = joint_prior(body, self.prior)
             solving = time.process_time()
-            pose = stage_two(attachment, torch.as_tensor(observed), markers.rate, prior, self.prior, self.config, trunk)
+            tally = Tally(self.root, name)
+            pose = stage_two(
+                attachment, torch.as_tensor(observed), markers.rate, prior, self.prior, self.config, trunk,
+                lambda share: tally.add(share * len(markers)),
+            )  # fmt: skip
             solving = time.process_time() - solving
             object_name, motion, object_labels, more = self._object(markers)
         except UserError as error:
@@ -199,7 +206,12 @@ class CaptureWork:
             "solving_cpu_seconds": round(solving, 3),
         }
         write_sequence(self.root / "grab" / f"{name}.npz", sequence)
-        write_json(report_path(self.root, name), report)
+        if self.pictures:
+            from grabnet.mosh.drawing import Solved, draw_quality
+
+            solved = Solved(sequence, body, self.placement.v_template, layout, observed, model, residuals)
+            draw_quality(self.root / "mosh" / name, solved, report["body"], self.limits, mesh)
+        write_json(report_path(self.root, name), report)  # last: what has a report is done
 
     def _object(self, markers: MarkerData) -> tuple[str, RigidMotion | None, tuple[str, ...], list[str]]:
         """The object that a capture follows: of those with a layout the one whose markers are seen most."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from grabnet.errors import UserError
 from grabnet.io.files import existing
-from grabnet.mosh.c3d import read_c3d
+from grabnet.mosh.c3d import c3d_frames, read_c3d
 from grabnet.mosh.markers import MarkerData
 from grabnet.mosh.tables import read_table
 
@@ -36,3 +36,8 @@ def find_captures(place: str | Path) -> list[Path]:
     if not found:
         raise UserError(f"{place} holds no captures: files that end in {', '.join(SUFFIXES)}.")
     return found
+
+
+def expected_frames(path: Path) -> int:
+    """About how many frames a capture has, without reading it, for progress; at least 1."""
+    return max(1, c3d_frames(path) if path.suffix.lower() == ".c3d" else path.read_bytes().count(b"\n"))

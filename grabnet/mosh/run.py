@@ -33,7 +33,7 @@ from grabnet.io.provenance import provenance
 from grabnet.io.recipes import claim
 from grabnet.mosh.assembling import NO_OBJECT, TABLE_MESH
 from grabnet.mosh.capture_work import CaptureWork, Placement, Reading, expression_directions, read_report, report_path
-from grabnet.mosh.captures import find_captures
+from grabnet.mosh.captures import expected_frames, find_captures
 from grabnet.mosh.choosing import choose_frames
 from grabnet.mosh.layouts import Layout, read_layout, read_object_layouts, write_layout
 from grabnet.mosh.placing import marker_positions
@@ -42,7 +42,9 @@ from grabnet.mosh.quality import Limits
 from grabnet.mosh.stage_one import StageOneConfig, stage_one
 from grabnet.mosh.stage_two import StageTwoConfig
 from grabnet.mosh.subjects import Subject
+from grabnet.mosh.tallies import followed
 from grabnet.preprocess.backends import Outcome, by_dask, by_joblib, machine_cores
+from grabnet.visual.pictures import can_render
 
 # Raise it when the same capture and settings would give another recording.
 FORMAT = 1
@@ -126,13 +128,14 @@ def run(config: MoshConfig) -> int:
         _write_things(config)
         work = CaptureWork(
             captures, config.root, placement, subject, config.reading, config.objects, config.meshes, config.prior,
-            config.stage_two, config.limits, config.max_gap, config.tolerance, config.object_smooth, config.threads,
+            config.stage_two, config.limits, config.max_gap, config.tolerance, config.object_smooth, config.pictures,
+            config.threads,
         )  # fmt: skip
         outcomes = list(_work(config, work))
         failures = sorted((o for o in outcomes if o.failure), key=lambda o: o.name)
         write_json(config.root / "mosh/failures.json", {o.name: o.failure for o in failures})
-        if config.pictures:
-            _draw(config, work, outcomes)
+        if config.pictures and (reason := can_render()):
+            print(reason)
         reports = {name: read_report(config.root, name) for name in captures
                    if report_path(config.root, name).exists()}  # fmt: skip
         _summarise(config, reports, outcomes, time.monotonic() - began)
@@ -229,20 +232,22 @@ def _made(path: Path) -> Path:
 
 
 def _work(config: MoshConfig, work: CaptureWork) -> Iterator[Outcome]:
-    """Outcomes of what is not done, with their progress and frames per second."""
+    """Outcomes of what is not done; shows frames per second and the time left meanwhile."""
     left = [name for name in work.captures if not _is_done(config.root, name, work.captures[name])]
     outcomes = (
         by_dask(work, left, config.dask_address)
         if config.backend == "dask"
         else by_joblib(work, left, min(config.workers, machine_cores(), max(1, len(left))), config.max_deaths)
     )
-    began, frames = time.monotonic(), 0
-    with steps("Solving captures", len(work.captures), len(work.captures) - len(left)) as counted:
+    frames = {name: expected_frames(path) for name, path in work.captures.items()}
+    done = sum(n for name, n in frames.items() if name not in left)
+    worked_on = {name: frames[name] for name in left}
+    with (
+        steps("Solving frames", sum(frames.values()), done) as counted,
+        followed(config.root, worked_on, counted) as ended,
+    ):
         for outcome in outcomes if left else ():
-            if not outcome.failure:
-                frames += read_report(config.root, outcome.name)["body"]["frames"]
-            rate = frames / (time.monotonic() - began)
-            counted.advance(about=f"{rate:.0f} frames/s, {outcome.name}")
+            ended(outcome.name)
             yield outcome
 
 
@@ -251,18 +256,6 @@ def _is_done(root: Path, name: str, capture: Path) -> bool:
     if not (report.exists() and (root / "grab" / f"{name}.npz").exists()):
         return False
     return read_report(root, name)["sha256"] == sha256(capture)
-
-
-def _draw(config: MoshConfig, work: CaptureWork, outcomes: list[Outcome]) -> None:
-    """Draw what was solved; where no film can be made, say why once."""
-    from grabnet.mosh.drawing import draw_quality
-
-    placement, reasons = work.placement, set()
-    for name in (outcome.name for outcome in outcomes if not outcome.failure):
-        markers = config.reading.of_subject(config.reading.read(work.captures[name]), placement.layout)
-        reasons.add(draw_quality(config.root, name, markers, placement.layout, placement.latent, work.subject.body))
-    for reason in reasons - {None}:
-        print(reason)
 
 
 def _summarise(config: MoshConfig, reports: dict[str, Any], outcomes: list[Outcome], seconds: float) -> None:

@@ -28,6 +28,7 @@ _ROUGH, _FINE = 0.5, 1 / 15  # seconds between frames solved from nothing, and f
 _REACH = 20.0  # of the markers where a pose may be far off, standard deviations
 _TURNED = 0.6  # radians that no joint turns in between two frames that are not far apart
 _DOUBTFUL = 1.5  # times the usual cost
+_FIRST = 0.25  # share of the work, about, that the first poses take
 _FAILED = 4.0  # times the usual cost of a marker: a frame whose markers cost more lies otherwise than it should
 
 
@@ -71,7 +72,7 @@ def stage_two(
     prior_config: PriorConfig,
     config: StageTwoConfig,
     trunk: Tensor,
-    progress: Callable[[int], None] = lambda frames: None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> Pose:
     """Solve a recording.
 
@@ -82,7 +83,7 @@ def stage_two(
         prior, prior_config: of poses.
         config: the settings.
         trunk: (M,) which markers are on the trunk.
-        progress: is given the frames done, in shares of all the work.
+        progress: is given shares of all the work, as they are done.
 
     Raises:
         UserError: no frame shows three markers.
@@ -91,14 +92,15 @@ def stage_two(
     if not (observed[..., 0].isfinite().sum(1) >= 3).any():
         raise UserError("no frame shows three markers of the body")
     problem = frame_problem(attachment, observed, prior, prior_config, config)
-    pose = _first_poses(problem, prior, trunk, rate)
-    progress(t // 4)
+    pose = _first_poses(problem, prior, trunk, rate, lambda share: progress(_FIRST * share))
     velocity = velocity_term(attachment, rate, config)
     windows = Windows(config.window, config.windows, config.smooth * rate)
     damping = torch.full((t,), 1e-4, dtype=torch.float64)
     for number in range(config.sweeps if t > 1 else 0):
-        pose = sweep(problem, velocity, pose, damping, windows, number)
-        progress(t * 3 // 4 // config.sweeps)
+        pose = sweep(
+            problem, velocity, pose, damping, windows, number,
+            lambda share: progress((1 - _FIRST) / config.sweeps * share),
+        )  # fmt: skip
     return pose
 
 
@@ -124,7 +126,9 @@ def velocity_term(attachment: Attachment, rate: float, config: StageTwoConfig) -
     return Velocity(((sigma * 120 / rate) ** -2).to(attachment.dtype), attachment.joints)
 
 
-def _first_poses(problem: FrameProblem, prior: JointPrior, trunk: Tensor, rate: float) -> Pose:
+def _first_poses(
+    problem: FrameProblem, prior: JointPrior, trunk: Tensor, rate: float, progress: Callable[[float], None]
+) -> Pose:
     """Poses of all frames, from those of a few."""
     observed, reach, problem = problem.markers.observed, problem.markers.reach, problem.reaching(_REACH)
     t, seen = len(observed), observed[..., 0].isfinite()
@@ -133,7 +137,7 @@ def _first_poses(problem: FrameProblem, prior: JointPrior, trunk: Tensor, rate: 
     good = ~_failed(cost, seen[rough])
     rough, pose = rough[good], pose.frames(good)
     fine = torch.arange(0, t, max(1, round(_FINE * rate)))
-    pose, _ = solve_frames(problem.frames(fine), between(pose, rough, fine), 8)
+    pose, _ = solve_frames(problem.frames(fine), between(pose, rough, fine), 8, progress=progress)
     pose = _second_opinion(problem.frames(fine).reaching(reach), fine, pose)
     good = (seen[fine].sum(1) >= 3) & pose.transl.isfinite().all(1)
     good = good if good.any() else torch.ones_like(good)
