@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from grabnet.errors import UserError
@@ -22,7 +23,10 @@ def read_capture(path: str | Path, unit: str | None = None, up: str = "z", rate:
     path = existing(path, "Capture")
     if path.suffix.lower() not in SUFFIXES:
         raise UserError(f"{path} is no capture: its suffix must be {', '.join(SUFFIXES)}.")
-    return read_c3d(path, unit, up) if path.suffix.lower() == ".c3d" else read_table(path, unit, up, rate)
+    if path.suffix.lower() != ".c3d":
+        return read_table(path, unit, up, rate)
+    markers = read_c3d(path, unit, up)
+    return markers if rate is None else replace(markers, rate=rate)
 
 
 def find_captures(place: str | Path) -> list[Path]:

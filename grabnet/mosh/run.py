@@ -16,40 +16,32 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import trimesh
-
-from grabnet.body.anatomy import vertex_normals
 from grabnet.cli.checks import Amount, Concurrent, Count, Name, Positive, Weight, in_range, one_of
 from grabnet.cli.ends import say
 from grabnet.cli.progress import steps
-from grabnet.data.objects import OBJECT_MESHES, object_files
 from grabnet.errors import UserError
-from grabnet.geometry.mesh import Mesh, load_mesh, save_mesh
-from grabnet.io.files import existing, replacing, sha256, write_json
+from grabnet.io.files import existing, sha256, write_json
 from grabnet.io.litter import clear_litter
 from grabnet.io.locks import alone_in
 from grabnet.io.provenance import provenance
 from grabnet.io.recipes import claim
-from grabnet.mosh.assembling import NO_OBJECT, TABLE_MESH
-from grabnet.mosh.capture_work import CaptureWork, Placement, Reading, expression_directions, read_report, report_path
+from grabnet.mosh.capture_work import CaptureWork, read_report, report_path
 from grabnet.mosh.captures import expected_frames, find_captures
-from grabnet.mosh.choosing import choose_frames
-from grabnet.mosh.layouts import Layout, read_layout, read_object_layouts, write_layout
-from grabnet.mosh.placing import marker_positions
+from grabnet.mosh.layouts import Layout, read_layout, read_object_layouts
+from grabnet.mosh.placement import Placement, find_placement
 from grabnet.mosh.priors import PriorConfig
 from grabnet.mosh.quality import Limits
-from grabnet.mosh.stage_one import StageOneConfig, stage_one
+from grabnet.mosh.reading import Reading
+from grabnet.mosh.stage_one import StageOneConfig
 from grabnet.mosh.stage_two import StageTwoConfig
 from grabnet.mosh.subjects import Subject
 from grabnet.mosh.tallies import followed
+from grabnet.mosh.things import Following, check_things, write_meshes
 from grabnet.preprocess.backends import Outcome, by_dask, by_joblib, machine_cores
 from grabnet.visual.pictures import can_render
 
 # Raise it when the same capture and settings would give another recording.
 FORMAT = 1
-_TRUNK_JOINTS = (0, 3, 6, 9)
-_TABLE_SIZE = (1.2, 0.8, 0.03)  # metres
 
 
 @dataclass(frozen=True)
@@ -117,19 +109,21 @@ def run(config: MoshConfig) -> int:
     captures = {f"{config.name}/{path.stem}": path for path in files}
     if len(captures) < len(files):
         raise UserError(f"{config.capture} holds captures of the same name: the recordings are named after them.")
-    if config.objects is not None:
-        read_object_layouts(config.objects)
+    layouts = {} if config.objects is None else read_object_layouts(config.objects)
+    meshes = check_things(config.meshes, layouts)
     with alone_in(config.root, "out"):
-        remedy = f"delete {config.root / 'mosh'}, or choose another out="
-        claim(config.root / "mosh/recipe.json", _recipe(config), remedy)
+        recipe = config.root / "mosh/recipe.json"
+        if not recipe.with_name("placement.npz").exists():  # nothing was solved by it
+            recipe.unlink(missing_ok=True)
+        claim(recipe, _recipe(config, subject, meshes), f"delete {recipe.parent}, or choose another out=")
         clear_litter(config.root, "grab/*/*.*", "mosh/*.*", "mosh/*/*.*", "tools/*/*.*", "tools/*/*/*.*")
         placement = _placement(config, subject, layout, files)
         subject.write(config.root, placement.v_template)
-        _write_things(config)
+        write_meshes(config.root, meshes)
         work = CaptureWork(
-            captures, config.root, placement, subject, config.reading, config.objects, config.meshes, config.prior,
-            config.stage_two, config.limits, config.max_gap, config.tolerance, config.object_smooth, config.pictures,
-            config.threads,
+            captures, config.root, placement, subject, config.reading, layouts,
+            Following(config.tolerance, config.max_gap, config.object_smooth), config.prior, config.stage_two,
+            config.limits, config.pictures, config.threads,
         )  # fmt: skip
         outcomes = list(_work(config, work))
         failures = sorted((o for o in outcomes if o.failure), key=lambda o: o.name)
@@ -155,14 +149,16 @@ def _check_shape(config: MoshConfig, n_betas: int) -> None:
         print("No scan of the subject: the model's mean shape stands for theirs. Give subject= or fit=unscanned.")
 
 
-def _recipe(config: MoshConfig) -> dict[str, Any]:
+def _recipe(config: MoshConfig, subject: Subject, meshes: dict[str, Path]) -> dict[str, Any]:
     """All that decides a recording besides its capture."""
-    files = {key: getattr(config, key) for key in ("layout", "subject", "objects")}
+    files = {"layout": config.layout, "objects": config.objects} | subject.files()
+    files |= {f"mesh of {name}": path for name, path in meshes.items()}
     settings = {key: asdict(getattr(config, key)) for key in ("reading", "stage_one", "stage_two", "prior", "limits")}
     return {
         "format": FORMAT,
         "name": config.name,
         "gender": config.gender,
+        "stage_one_captures": config.stage_one_captures,
         "max_gap": config.max_gap,
         "tolerance": config.tolerance,
         "object_smooth": config.object_smooth,
@@ -173,62 +169,15 @@ def _recipe(config: MoshConfig) -> dict[str, Any]:
 
 def _placement(config: MoshConfig, subject: Subject, layout: Layout, files: list[Path]) -> Placement:
     """Where the markers sit: found from some captures, or as found before."""
-    npz, yaml = config.root / "mosh/placement.npz", config.root / "mosh/placement.yaml"
-    if npz.exists() and yaml.exists():
-        return Placement.load(npz, read_layout(yaml))
-    chosen = files[:: max(1, len(files) // config.stage_one_captures)][: config.stage_one_captures]
-    own = []
-    for path in chosen:
-        markers = config.reading.read(path)
-        try:
-            own.append(config.reading.of_subject(markers, layout))
-        except UserError as error:
-            raise UserError(f"{path}: {error}.") from None
-    there = {label for markers in own for label in markers.labels}
-    where = chosen[0] if len(chosen) == 1 else config.capture
-    layout, notes = layout.restricted(sorted(there), where)
-    for note in notes:
-        print(note)
-    positions = np.concatenate([markers.pick(layout.labels).positions for markers in own])
-    body, template = subject.body, subject.v_template
-    normals = vertex_normals(template.double(), body.faces).numpy()
-    resting = marker_positions(layout, template.double().numpy(), normals)
-    corner = [marker.vertices[0] for marker in layout.markers]
-    trunk = body.weights[corner][:, _TRUNK_JOINTS].sum(1).numpy() > 0.6
-    frames = choose_frames(positions, resting, trunk, config.stage_one.frames, config.capture)
-    seen = np.isfinite(positions[frames][..., 0])
-    if not (shown := seen.any(0)).all():
-        lost = [label for label, there in zip(layout.labels, shown, strict=True) if not there]
-        print(f"{', '.join(lost)}: in none of Stage I's frames, so where the layout has it.")
-    directions = None if config.stage_one.betas else expression_directions(body)
-    found = stage_one(body, template, layout, positions[frames], config.stage_one, config.prior, directions)
-    typical = float(found.residuals.nanmedian())
-    print(f"Stage I: {len(frames)} frames; markers {1e3 * typical:.2f} mm (median) from where the body has them.")
-    write_layout(yaml, found.layout)
-    with replacing(npz) as temporary:
-        np.savez(temporary, latent=found.latent.numpy(), v_template=found.v_template.numpy(),
-                 betas=found.betas.numpy(), labels=np.array(layout.labels))  # fmt: skip
-    return Placement(found.layout, found.latent, found.v_template)
-
-
-def _write_things(config: MoshConfig) -> None:
-    """Write the meshes that recordings name: the objects', a table's, and that of no object."""
-    meshes = {} if config.meshes is None else object_files(config.meshes)
-    if config.objects is not None:
-        names = read_object_layouts(config.objects)
-        for name, path in meshes.items():
-            if name in names:
-                save_mesh(_made(config.root / OBJECT_MESHES / f"{name}.ply"), load_mesh(path, weld=False))
-    speck = trimesh.creation.box((1e-3,) * 3)
-    save_mesh(_made(config.root / OBJECT_MESHES / f"{NO_OBJECT}.ply"), Mesh(speck.vertices, speck.faces))
-    top = trimesh.creation.box(_TABLE_SIZE)
-    top.apply_translation((0, 0, -_TABLE_SIZE[2] / 2))
-    save_mesh(_made(config.root / TABLE_MESH), Mesh(top.vertices, top.faces))
-
-
-def _made(path: Path) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return path
+    path = config.root / "mosh/placement"
+    if path.with_suffix(".npz").exists():
+        print(f"The markers sit where {path}.yaml has them, as found before.")
+        return Placement.load(path)
+    found = find_placement(
+        subject, layout, files, config.reading, config.stage_one_captures, config.stage_one, config.prior
+    )
+    found.save(path)
+    return found
 
 
 def _work(config: MoshConfig, work: CaptureWork) -> Iterator[Outcome]:
