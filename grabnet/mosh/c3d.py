@@ -58,6 +58,16 @@ def read_c3d(path: str | Path, unit: str | None = None, up: str = "z") -> Marker
     )
 
 
+def c3d_frames(path: Path) -> int:
+    """About how many frames a file has: by its header, or by its size where they are more than the header can say."""
+    with path.open("rb") as file:
+        data = file.read(_BLOCK)
+    if len(data) < _BLOCK:
+        return 0
+    points, analog, first, last = struct.unpack("<4H", data[2:10])
+    return last - first + 1 if last < 0xFFFF else path.stat().st_size // max(1, 4 * (4 * points + analog))
+
+
 def write_c3d(path: str | Path, labels: Sequence[str], positions: np.ndarray, rate: float, unit: str = "mm") -> None:
     """Write markers as a c3d file, atomically.
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from grabnet.errors import UserError
 from grabnet.io.files import existing
-from grabnet.mosh.c3d import read_c3d
+from grabnet.mosh.c3d import c3d_frames, read_c3d
 from grabnet.mosh.markers import MarkerData
 from grabnet.mosh.tables import read_table
 
@@ -22,7 +23,10 @@ def read_capture(path: str | Path, unit: str | None = None, up: str = "z", rate:
     path = existing(path, "Capture")
     if path.suffix.lower() not in SUFFIXES:
         raise UserError(f"{path} is no capture: its suffix must be {', '.join(SUFFIXES)}.")
-    return read_c3d(path, unit, up) if path.suffix.lower() == ".c3d" else read_table(path, unit, up, rate)
+    if path.suffix.lower() != ".c3d":
+        return read_table(path, unit, up, rate)
+    markers = read_c3d(path, unit, up)
+    return markers if rate is None else replace(markers, rate=rate)
 
 
 def find_captures(place: str | Path) -> list[Path]:
@@ -36,3 +40,8 @@ def find_captures(place: str | Path) -> list[Path]:
     if not found:
         raise UserError(f"{place} holds no captures: files that end in {', '.join(SUFFIXES)}.")
     return found
+
+
+def expected_frames(path: Path) -> int:
+    """About how many frames a capture has, without reading it, for progress; at least 1."""
+    return max(1, c3d_frames(path) if path.suffix.lower() == ".c3d" else path.read_bytes().count(b"\n"))

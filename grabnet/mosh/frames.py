@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -55,7 +56,13 @@ def missing_factor(observed: Tensor, growth: float) -> Tensor:
     return 1 + growth * observed[..., 0].isnan().to(observed.dtype).mean(-1)
 
 
-def solve_frames(problem: FrameProblem, pose: Pose, iterations: int, batch: int = 128) -> tuple[Pose, Tensor]:
+def solve_frames(
+    problem: FrameProblem,
+    pose: Pose,
+    iterations: int,
+    batch: int = 128,
+    progress: Callable[[float], None] = lambda share: None,
+) -> tuple[Pose, Tensor]:
     """Levenberg-Marquardt on each frame by itself, many at once; a frame that gets worse takes a shorter step next.
 
     Args:
@@ -63,16 +70,16 @@ def solve_frames(problem: FrameProblem, pose: Pose, iterations: int, batch: int 
         pose: to start from.
         iterations: at most; frames that don't improve any more are left alone.
         batch: frames at once, which bounds memory.
+        progress: is given the share of the frames that a batch has, after each.
 
     Returns:
         the poses, and their costs (F,).
     """
-    n_frames = len(pose.transl)
-    parts = [
-        _solve(problem.frames(now), pose.frames(now), iterations)
-        for start in range(0, n_frames, batch)
-        for now in [slice(start, start + batch)]
-    ]
+    n_frames, parts = len(pose.transl), []
+    for start in range(0, n_frames, batch):
+        now = slice(start, start + batch)
+        parts.append(_solve(problem.frames(now), pose.frames(now), iterations))
+        progress(len(parts[-1][1]) / n_frames)
     return Pose(*(torch.cat(values) for values in zip(*(p for p, _ in parts), strict=True))), torch.cat(
         [cost for _, cost in parts]
     )

@@ -23,7 +23,7 @@ class Limits:
         residual: mean distance of its markers, metres.
         outlier: distance of a marker that is taken for a ghost or wrongly labelled, metres.
         missing: share of markers that are missing.
-        jump: metres that a marker of the model moves from one frame to the next.
+        jump: speed of a marker's place on the body, metres per second, above that at which the marker is seen to move.
 
     Raises:
         UserError: a value out of range.
@@ -32,7 +32,7 @@ class Limits:
     residual: Positive = 0.005
     outlier: Positive = 0.02
     missing: Share = 0.4
-    jump: Positive = 0.05
+    jump: Positive = 6.0
 
     def __post_init__(self):
         in_range(self, "limits.")
@@ -49,23 +49,43 @@ def marker_residuals(attachment: Attachment, pose: Pose, observed: np.ndarray) -
     return np.linalg.norm(model - observed, axis=-1), model
 
 
-def flagged(residuals: np.ndarray, model: np.ndarray, limits: Limits) -> dict[str, np.ndarray]:
-    """Numbers of frames to distrust, by reason."""
+def flagged(
+    residuals: np.ndarray, model: np.ndarray, observed: np.ndarray, rate: float, limits: Limits
+) -> dict[str, np.ndarray]:
+    """Numbers of frames to distrust, by reason.
+
+    Args:
+        residuals: (T, M) metres; NaN where missing.
+        model: (T, M, 3) where the body has the markers.
+        observed: (T, M, 3) where they were seen; NaN where missing.
+        rate: frames per second.
+        limits: beyond which a frame is flagged.
+    """
     missing = np.isnan(residuals)
     kept = np.where(residuals > limits.outlier, np.nan, residuals)
     mean = np.nansum(kept, 1) / np.maximum(1, np.isfinite(kept).sum(1))
-    moved = np.linalg.norm(np.diff(model, axis=0), axis=-1).max(1, initial=0) if len(model) > 1 else np.zeros(0)
+    step, seen = np.diff(model, axis=0), np.diff(observed, axis=0)
+    # A hand that swings a racket is fast, too: only what moves otherwise than its marker, or unseen, has jumped.
+    speed = rate * np.fmin(np.linalg.norm(step, axis=-1), np.linalg.norm(step - seen, axis=-1))
     return {
         "markers off": (mean > limits.residual).nonzero()[0],
         "outliers": (residuals > limits.outlier).any(1).nonzero()[0],
         "too few markers": (missing.mean(1) > limits.missing).nonzero()[0],
-        "jump": 1 + (moved > limits.jump).nonzero()[0],
+        "jump": 1 + (speed > limits.jump).any(1).nonzero()[0],
     }
 
 
-def quality(residuals: np.ndarray, model: np.ndarray, layout: Layout, limits: Limits) -> dict[str, Any]:
-    """Facts for the report, JSON-able; lengths in millimetres."""
+def quality(
+    residuals: np.ndarray, model: np.ndarray, observed: np.ndarray, rate: float, layout: Layout, limits: Limits
+) -> dict[str, Any]:
+    """Facts for the report, JSON-able; lengths in millimetres, shares of all frames; arguments as of `flagged`.
+
+    Residuals are of all markers that are seen, outliers too. They say nothing of what is not seen, and a body that
+    bends to every marker has small ones: `missing` and `outliers` stand beside them.
+    """
     millimetres = 1e3 * residuals
+    missing, outliers = np.isnan(residuals), residuals > limits.outlier
+    flags = flagged(residuals, model, observed, rate, limits)
     return {
         "frames": len(residuals),
         "residual_mm": _summary(millimetres),
@@ -73,11 +93,22 @@ def quality(residuals: np.ndarray, model: np.ndarray, layout: Layout, limits: Li
             type_: _summary(millimetres[:, layout.types == type_]) for type_ in dict.fromkeys(layout.types.tolist())
         },
         "residual_mm_by_marker": {
-            label: _summary(millimetres[:, k]) for k, label in enumerate(layout.labels)
+            label: {
+                **_summary(millimetres[:, k]),
+                "missing": _share(missing[:, k]),
+                "outliers": _share(outliers[:, k]),
+            }
+            for k, label in enumerate(layout.labels)
         },
-        "missing": round(float(np.isnan(residuals).mean()), 4),
-        "flagged": {reason: frames.tolist() for reason, frames in flagged(residuals, model, limits).items()},
-    }  # fmt: skip
+        "missing": _share(missing),
+        "outliers": _share(outliers),
+        "flagged_frames": len(np.unique(np.concatenate([*flags.values()]))),
+        "flagged": {reason: frames.tolist() for reason, frames in flags.items()},
+    }
+
+
+def _share(true: np.ndarray) -> float:
+    return round(float(true.mean()), 4)
 
 
 def _summary(values: np.ndarray) -> dict[str, float | None]:

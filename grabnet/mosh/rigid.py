@@ -110,7 +110,7 @@ def follow(
     off = _distances(positions, observed, rotation, transl)
     rotation, transl, gap = _bridged(rotation, transl, solved)
     if smooth:
-        rotation, transl = _smoothed(rotation, transl, positions.mean(0), smooth)
+        rotation, transl = _smoothed(rotation, transl, positions.mean(0), smooth, solved | (gap <= max_gap))
         off = torch.where(solved.unsqueeze(1), _distances(positions, observed, rotation, transl), torch.nan)
     return RigidMotion(rotation, transl, solved, ~solved & (gap <= max_gap), off)
 
@@ -144,17 +144,19 @@ def _bridged(rotation: Tensor, transl: Tensor, solved: Tensor) -> tuple[Tensor, 
     share = ((t - a) / (b - a).clamp(min=1)).clamp(0, 1).to(transl.dtype)
     turn = log(rotation[a].mT @ rotation[b]) * share.unsqueeze(1)
     outside = (t < at[0]) | (t > at[-1])
-    gap = torch.where(outside, len(t) + 1, b - a - 1)
+    gap = torch.where(outside, torch.iinfo(t.dtype).max, b - a - 1)
     return rotation[a] @ exp(turn), transl[a] + share.unsqueeze(1) * (transl[b] - transl[a]), gap
 
 
-def _smoothed(rotation: Tensor, transl: Tensor, middle: Tensor, reach: int) -> tuple[Tensor, Tensor]:
+def _smoothed(rotation: Tensor, transl: Tensor, middle: Tensor, reach: int, known: Tensor) -> tuple[Tensor, Tensor]:
     """The value at each frame of the parabolas that fit turn, and place of the middle, best in the frames around.
 
-    Towards the ends fewer frames are taken, as many before as after.
+    Towards the ends, and towards frames of which nothing is known, fewer frames are taken, as many before as after.
     """
     t, last = torch.arange(len(transl)), len(transl) - 1
-    reaches = torch.minimum(t, last - t).clamp(max=reach)
+    borders = torch.cat([torch.tensor([-1, last + 1]), t[~known]]).sort().values
+    after = torch.searchsorted(borders, t).clamp(min=1)
+    reaches = torch.minimum(t - borders[after - 1], borders[after] - t).sub(1).clamp(0, reach)
     weights = torch.zeros(reach + 1, 2 * reach + 1, dtype=transl.dtype)  # by a frame's reach and the offset from it
     for r in range(reach + 1):
         powers = torch.stack([torch.arange(-r, r + 1).double() ** k for k in range(3)], 1)

@@ -32,6 +32,7 @@ _ROUGH, _FINE = 0.5, 1 / 15  # seconds between frames solved from nothing, and f
 _REACH = 20.0  # of the markers where a pose may be far off, standard deviations
 _TURNED = 0.6  # radians that no joint turns in between two frames that are not far apart
 _DOUBTFUL = 1.5  # times the usual cost
+_FIRST = 0.25  # share of the work, about, that the first poses take
 _FAILED = 4.0  # times the usual cost of a marker: a frame whose markers cost more lies otherwise than it should
 
 
@@ -103,9 +104,10 @@ def stage_two(
     t = len(observed)
     result, known = attachment.neutral(t), torch.zeros_like(shown)
     for first, end in _stretches(t, config.stretch):
-        if not shown[first:end].any():
-            continue
         share = (end - first) / t
+        if not shown[first:end].any():
+            progress(share)
+            continue
         pose = _solved(
             attachment,
             observed[first:end],
@@ -145,16 +147,17 @@ def _solved(
     t = len(observed)
     seen = undoubted(observed, config.doubt)
     problem = frame_problem(attachment, seen, prior, prior_config, config)
-    pose = _first_poses(problem, prior, trunk, rate, config)
-    progress(1 / 4)
+    pose = _first_poses(problem, prior, trunk, rate, config, lambda share: progress(_FIRST * share))
     velocity = velocity_term(attachment, rate, config)
     windows = Windows(config.window, config.windows, config.smooth * rate)
     damping = torch.full((t,), 1e-4, dtype=torch.float64, device=observed.device)
     for number in range(config.sweeps if t > 1 else 0):
         labelled = _relabelled(attachment, pose, observed, config.relabel)
         problem = frame_problem(attachment, labelled, prior, prior_config, config)
-        pose = sweep(problem, velocity, pose, damping, windows, number)
-        progress(3 / 4 / config.sweeps)
+        pose = sweep(
+            problem, velocity, pose, damping, windows, number,
+            lambda share: progress((1 - _FIRST) / config.sweeps * share),
+        )  # fmt: skip
     return pose
 
 
@@ -185,7 +188,14 @@ def velocity_term(attachment: Attachment, rate: float, config: StageTwoConfig) -
     return Velocity(((sigma * 120 / rate) ** -2).to(attachment.dtype), attachment.joints)
 
 
-def _first_poses(problem: FrameProblem, prior: JointPrior, trunk: Tensor, rate: float, config: StageTwoConfig) -> Pose:
+def _first_poses(
+    problem: FrameProblem,
+    prior: JointPrior,
+    trunk: Tensor,
+    rate: float,
+    config: StageTwoConfig,
+    progress: Callable[[float], None],
+) -> Pose:
     """Poses of all frames, from those of a few."""
     observed, reach, problem = problem.markers.observed, problem.markers.reach, problem.reaching(_REACH)
     t, seen = len(observed), observed[..., 0].isfinite()
@@ -195,7 +205,7 @@ def _first_poses(problem: FrameProblem, prior: JointPrior, trunk: Tensor, rate: 
     rough, pose = rough[good], pose.frames(good)
     every = max(1, round(_FINE * rate))
     fine = torch.arange(0, t, every, device=observed.device)
-    pose, _ = solve_frames(problem.frames(fine), between(pose, rough, fine), 8)
+    pose, _ = solve_frames(problem.frames(fine), between(pose, rough, fine), 8, progress=progress)
     pose = _second_opinion(problem.frames(fine).reaching(reach), fine, pose)
     good = (seen[fine].sum(1) >= 3) & pose.transl.isfinite().all(1)
     good = good if good.any() else torch.ones_like(good)

@@ -17,6 +17,7 @@ from grabnet.geometry.mesh import Mesh, read_mesh, save_mesh
 from grabnet.io.files import existing, replacing
 
 _TEMPLATES = Path("tools/subject_meshes")  # GRAB's own layout, below its root
+_SIZES = (0.4, 2.0)  # of a person, by that of the model
 SIDES = ("left", "right")
 GENDERS = ("male", "female", "neutral")
 
@@ -43,8 +44,7 @@ class Subject:
 
     @cached_property
     def body(self) -> BodyModel:
-        file = OPEN_BODY / "SMPLX_NEUTRAL.npz"
-        return BodyModel(file if self.models is None else self._file("smplx", f"SMPLX_{self.gender.upper()}"))
+        return BodyModel(self.files()["body"])
 
     @cached_property
     def v_template(self) -> Tensor:
@@ -58,12 +58,31 @@ class Subject:
                 f"{self.template} has {len(vertices):,} vertices, the body model {len(self.body.v_template):,}: they "
                 "must be of one kind."
             )
+        size, usual = (float(x.double().std(0).norm()) for x in (vertices, self.body.v_template))
+        if not _SIZES[0] <= size / usual <= _SIZES[1]:
+            raise UserError(
+                f"{self.template} is {size / usual:.3g} times as large as the body model: it must be in metres."
+            )
         return vertices
 
     def hand(self, side: str) -> HandModel:
         """The hand model of a side."""
-        name = f"MANO_{side.upper()}"
-        return HandModel(OPEN_HANDS / f"{name}.npz" if self.models is None else self._file("mano", name))
+        return HandModel(self.files()[f"{side}_hand"])
+
+    def files(self) -> dict[str, Path]:
+        """All that decides body and hands, by what it is."""
+        hands = {side: f"MANO_{side.upper()}" for side in SIDES}
+        if self.models is None:
+            found = {"body": OPEN_BODY / "SMPLX_NEUTRAL.npz"}
+            found |= {f"{side}_hand": OPEN_HANDS / f"{name}.npz" for side, name in hands.items()}
+        else:
+            found = {"body": self._file("smplx", f"SMPLX_{self.gender.upper()}")}
+            found |= {f"{side}_hand": self._file("mano", name) for side, name in hands.items()}
+        parts = {
+            "template": self._beside(""),
+            **{f"{side}_template": self._beside(f"_{side[0]}hand") for side in SIDES},
+        }
+        return found | {part: path for part, path in parts.items() if path is not None}
 
     def path(self, part: str = "") -> str:
         """Path of a template below the data set's root; part is "", "_rhand" or "_lhand"."""
@@ -101,3 +120,10 @@ class Subject:
             if path.exists():
                 return path
         raise UserError(f"{root} holds neither {name} nor {folder}/{name}, as .npz or .pkl: put that model there.")
+
+
+def expression_directions(body: BodyModel) -> Tensor | None:
+    """(V, 3, up to 10) the directions of expression that move anything; None of a model that has none."""
+    directions = body.shapedirs[..., body.n_betas : body.n_betas + 10]
+    used = directions.abs().amax((0, 1)) > 0
+    return directions[..., used] if used.any() else None

@@ -6,6 +6,7 @@ held as it is; the next sweep cuts elsewhere. Memory holds one group of windows,
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -28,7 +29,13 @@ class Windows:
 
 
 def sweep(
-    problem: FrameProblem, velocity: Velocity, pose: Pose, damping: Tensor, windows: Windows, number: int
+    problem: FrameProblem,
+    velocity: Velocity,
+    pose: Pose,
+    damping: Tensor,
+    windows: Windows,
+    number: int,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> Pose:
     """One step for every frame.
 
@@ -39,6 +46,7 @@ def sweep(
         damping: (T,) of each frame, updated: windows that would get worse stay, and take shorter steps next.
         windows: how the recording is cut.
         number: of the sweep, which decides where.
+        progress: is given the share of the frames that a group of windows has, after each.
 
     Returns:
         the new poses.
@@ -69,8 +77,8 @@ def sweep(
         change = delta.new_zeros(len(now)).index_add_(0, window, (after - before).double())
         worse = (change > 1e-6 * before.sum())[window]
         damping[frames] = torch.where(worse, damping[frames] * 10, damping[frames] * 0.2).clamp(1e-6, 1e3)
-        for value, old, new in zip(result, here, there, strict=True):
-            value[frames] = torch.where(worse.view(-1, *[1] * (value.dim() - 1)), old, new)
+        result.put(torch.arange(low, high, device=cost.device)[~worse], there.frames(~worse))
+        progress((high - low) / t)
     return result
 
 

@@ -123,7 +123,7 @@ def test_mosh(call, tmp_path):
     places = [f"capture='{tmp_path / 'box (1)_lift.csv'}'", f"out={tmp_path / 'out'}"]
     code, out, err = call("mosh", *few, *places, "workers=1", "pictures=false", "quiet=false")
     assert code == 0 and "4 frames, markers" in out
-    assert {"Solving captures: 0 of 1"} <= set(err.splitlines())
+    assert {"Solving frames: 0 of 5"} <= set(err.splitlines())
     assert read_sequence(tmp_path / "out/grab/s1/box (1)_lift.npz").framerate == pytest.approx(24)
 
 
