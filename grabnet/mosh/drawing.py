@@ -125,12 +125,12 @@ def _film(path: Path, solved: Solved, thing: Mesh | None) -> None:
     frames = np.arange(0, len(sequence), every)
     middle = np.nanmean(solved.model, 1)
     reach = np.abs(solved.model - middle[:, None]).max((0, 1)) + 0.15
-    floor = float(np.nanmin(solved.model[..., 2]))
+    with torch.no_grad():
+        skins = [body(sequence.body.parameters(frames[[k]]), solved.v_template).vertices[0].numpy()
+                 for k in range(len(frames))]  # fmt: skip
+    floor = float(min(skin[:, 2].min() for skin in skins))
     pictures = []
-    for frame in frames:
-        parameters = sequence.body.parameters(np.array([frame]))
-        with torch.no_grad():
-            skin = body(parameters, solved.v_template).vertices[0].numpy()
+    for frame, skin in zip(frames, skins, strict=True):
         seen, at, off = solved.observed[frame], solved.model[frame], solved.residuals[frame]
         shapes = [_tiles(middle[frame], reach, floor), Shape(skin, body.faces.numpy(), SKIN, 0.55)]
         shapes += [_seen(seen, off), *_sticks(seen, at)]
