@@ -68,7 +68,7 @@ def test_averaging_over_time_takes_noise_away_and_leaves_the_motion():
 
 
 def test_frames_of_which_nothing_is_known_pull_no_others():
-    markers, rotations, transl, seen = motion(30)
+    markers, _, transl, seen = motion(30)
     seen[:3], seen[27:] = torch.nan, torch.nan
     found = follow(markers, seen, max_gap=12, smooth=4)
     assert not found.filled.any(), "held at the ends, however short the recording"
