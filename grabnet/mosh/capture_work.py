@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from grabnet.data.sequences import write_sequence
 from grabnet.errors import UserError
 from grabnet.io.files import DISK_ERRORS, sha256, write_json
 from grabnet.io.state import Finite, read_json
 from grabnet.mosh.assembling import assemble
-from grabnet.mosh.attachment import Attachment
+from grabnet.mosh.attachment import Attachment, Pose
 from grabnet.mosh.choosing import refuse_other_size
 from grabnet.mosh.layouts import ObjectLayout
 from grabnet.mosh.placement import Placement
@@ -25,7 +26,7 @@ from grabnet.mosh.priors import PriorConfig, joint_prior
 from grabnet.mosh.quality import Limits, marker_residuals, quality
 from grabnet.mosh.reading import Reading
 from grabnet.mosh.stage_one import on_trunk
-from grabnet.mosh.stage_two import StageTwoConfig, stage_two
+from grabnet.mosh.stage_two import StageTwoConfig, put_right, stage_two
 from grabnet.mosh.subjects import Subject, expression_directions
 from grabnet.mosh.tallies import Tally
 from grabnet.mosh.things import Followed, Following, follow_one, mesh_of
@@ -120,6 +121,7 @@ class CaptureWork:
                 attachment, torch.as_tensor(observed), markers.rate, joint_prior(body, self.prior), self.prior,
                 self.config, trunk, lambda share: tally.add(share * len(markers)),
             )  # fmt: skip
+            notes += _exchanged(attachment, pose, torch.as_tensor(observed), self.config.relabel)
             solving = time.process_time() - solving
             followed = follow_one(markers, self.layouts, self.following) if self.layouts else Followed()
         except UserError as error:
@@ -145,6 +147,18 @@ class CaptureWork:
             solved = Solved(sequence, body, self.placement.v_template, layout, observed, model, residuals)
             draw_quality(self.root / "mosh" / name, solved, report["body"], self.limits, mesh)
         write_json(report_path(self.root, name), report)  # last: what has a report is done
+
+
+def _exchanged(attachment: Attachment, pose: Pose, observed: Tensor, reach: float) -> list[str]:
+    """How many markers count under other labels than the capture's, if any do."""
+    labelled = put_right(attachment, pose, observed, reach)
+    moved = ~labelled.isclose(observed, rtol=0, atol=0, equal_nan=True).all(-1)
+    if not moved.any():
+        return []
+    return [
+        f"{int(moved.sum())} marker positions in {int(moved.any(1).sum())} frames fit another label than the "
+        "capture's, and count under it (stage_two.relabel); residuals are by the capture's labels."
+    ]
 
 
 def report_path(root: Path, name: str) -> Path:

@@ -42,7 +42,7 @@ from grabnet.preprocess.backends import Outcome, by_dask, by_joblib, machine_cor
 from grabnet.visual.pictures import can_render
 
 # Raise it when the same capture and settings would give another recording.
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass(frozen=True)

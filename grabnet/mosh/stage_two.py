@@ -152,7 +152,7 @@ def _solved(
     windows = Windows(config.window, config.windows, config.smooth * rate)
     damping = torch.full((t,), 1e-4, dtype=torch.float64, device=observed.device)
     for number in range(config.sweeps if t > 1 else 0):
-        labelled = _relabelled(attachment, pose, observed, config.relabel)
+        labelled = put_right(attachment, pose, observed, config.relabel)
         problem = frame_problem(attachment, labelled, prior, prior_config, config)
         pose = sweep(
             problem, velocity, pose, damping, windows, number,
@@ -161,7 +161,8 @@ def _solved(
     return pose
 
 
-def _relabelled(attachment: Attachment, pose: Pose, observed: Tensor, reach: float) -> Tensor:
+def put_right(attachment: Attachment, pose: Pose, observed: Tensor, reach: float) -> Tensor:
+    """Markers (T, M, 3) under the labels that they fit in solved poses; see `relabelled`."""
     parts = [slice(start, start + _BATCH) for start in range(0, len(observed), _BATCH)]
     return torch.cat([relabelled(attachment.place(pose.frames(now)).points, observed[now], reach) for now in parts])
 

@@ -101,6 +101,19 @@ def test_captures_become_recordings_and_are_not_solved_twice(lab, tmp_path, acto
         run(config(*arguments(lab, tmp_path / "out", "stage_two.noise=0.003")))
 
 
+def test_a_report_says_how_many_labels_were_put_right(lab, tmp_path, actor):
+    """The knees' labels change places for four frames."""
+    seen = spoilt(actor.markers, 120, Flaws(noise=0.0, dropped=0), 1)
+    knees = [actor.layout.labels.index(label) for label in ("LKNE", "RKNE")]
+    seen[5:9, knees] = seen[5:9, knees[::-1]]
+    write_csv(tmp_path / "walk_1.csv", [f"s9:{label}" for label in actor.layout.labels], seen)
+    given = [f"capture={tmp_path / 'walk_1.csv'}", f"subject={lab / 's9.ply'}", f"out={tmp_path / 'out'}", "name=s9"]
+    assert run(config(*given, *FAST)) == 0
+    report = json.loads((tmp_path / "out/mosh/s9/walk_1.json").read_text())
+    assert any(note.startswith("8 marker positions in 4 frames fit another label") for note in report["notes"])
+    assert report["body"]["residual_mm_by_marker"]["LKNE"]["outliers"] == pytest.approx(4 / 24, abs=0.01)
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
