@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 
@@ -40,6 +40,10 @@ class Subject:
     gender: str
     template: str | None
     models: str | None
+
+    def __getstate__(self) -> dict[str, str | None]:
+        """Without the models, which another process reads for itself."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @cached_property
     def body(self) -> BodyModel:

@@ -67,6 +67,14 @@ def test_averaging_over_time_takes_noise_away_and_leaves_the_motion():
     assert (clean.transl - transl).norm(dim=1).max() < 1e-3
 
 
+def test_frames_of_which_nothing_is_known_pull_no_others():
+    markers, _, transl, seen = motion(30)
+    seen[:3], seen[27:] = torch.nan, torch.nan
+    found = follow(markers, seen, max_gap=12, smooth=4)
+    assert not found.filled.any(), "held at the ends, however short the recording"
+    assert (found.transl - transl)[3:27].norm(dim=1).max() < 1e-3 and found.residuals[3:27].max() < 1e-3
+
+
 def test_what_cannot_be_followed_is_refused():
     markers, _, _, seen = motion()
     with pytest.raises(DegenerateMarkersError, match="no frame shows 3"):
