@@ -123,16 +123,17 @@ def _film(path: Path, solved: Solved, thing: Mesh | None) -> None:
     sequence, body, rate = solved.sequence, solved.body, solved.sequence.framerate
     every = max(round(rate / _FRAMES_PER_SECOND), -(-len(sequence) // _MOST_FRAMES))
     frames = np.arange(0, len(sequence), every)
-    middle = np.nanmean(solved.model, 1)
-    reach = np.abs(solved.model - middle[:, None]).max((0, 1)) + 0.15
     with torch.no_grad():
-        skins = [body(sequence.body.parameters(frames[[k]]), solved.v_template).vertices[0].numpy()
-                 for k in range(len(frames))]  # fmt: skip
-    floor = float(min(skin[:, 2].min() for skin in skins))
+        skins = np.stack([
+            body(sequence.body.parameters(np.array([frame])), solved.v_template).vertices[0].numpy() for frame in frames
+        ])  # fmt: skip
+    middle = skins.mean(1)
+    reach = np.abs(skins - middle[:, None]).max((0, 1)) + 0.05
+    floor = float(skins[..., 2].min())
     pictures = []
-    for frame, skin in zip(frames, skins, strict=True):
+    for frame, skin, centre in zip(frames, skins, middle, strict=True):
         seen, at, off = solved.observed[frame], solved.model[frame], solved.residuals[frame]
-        shapes = [_tiles(middle[frame], reach, floor), Shape(skin, body.faces.numpy(), SKIN, 0.55)]
+        shapes = [_tiles(centre, reach, floor), Shape(skin, body.faces.numpy(), SKIN, 0.55)]
         shapes += [_seen(seen, off), *_sticks(seen, at)]
         if thing is not None:
             placed = sequence.object.to_world(torch.tensor(thing.vertices), np.array([frame]))[0]

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from grabnet.body.anatomy import vertex_normals
+from grabnet.body.skeleton import JOINTS
 from grabnet.errors import UserError
 from grabnet.io.files import replacing
 from grabnet.io.npz import read_npz
@@ -25,6 +26,7 @@ from grabnet.mosh.reading import Reading
 from grabnet.mosh.stage_one import StageOneConfig, stage_one
 from grabnet.mosh.subjects import Subject, expression_directions
 
+_LIMBS = ("left_knee", "right_knee", "left_elbow", "right_elbow", "neck")
 _TRUNK_JOINTS = (0, 3, 6, 9)
 _FRAMES = 4000  # looked at in each capture, evenly spread, which bounds memory
 _UPRIGHT = 0.5  # cosine between pelvis and vertical: below it a body leans more than 60 degrees
@@ -82,6 +84,8 @@ def find_placement(
     layout, notes = layout.restricted(sorted(there), where)
     for note in notes:
         print(note)
+    if bare := _bare_limbs(subject, layout):
+        print(f"No marker sits beyond {', '.join(bare)}: how the body is bent there is guessed.")
     positions = np.concatenate([markers.pick(layout.labels).positions[:: _thin(markers)] for markers in own.values()])
     positions = undoubted(torch.as_tensor(positions), config.doubt).numpy()
     body, template = subject.body, subject.v_template
@@ -101,6 +105,18 @@ def find_placement(
     if note := _lying(found.poses):
         print(note)
     return Placement(found.layout, found.latent, found.v_template)
+
+
+def _bare_limbs(subject: Subject, layout: Layout) -> list[str]:
+    """Of knees, elbows and neck those beyond which the skin carries no marker."""
+    body = subject.body
+    owners = {int(body.weights[marker.vertices[0]].argmax()) for marker in layout.markers}
+    marked = set()
+    for joint in owners:
+        while joint >= 0:
+            marked.add(joint)
+            joint = int(body.parents[joint])
+    return [name for name in _LIMBS if JOINTS.index(name) not in marked]
 
 
 def _readable(files: Sequence[Path], reading: Reading, layout: Layout, n: int) -> dict[Path, MarkerData]:

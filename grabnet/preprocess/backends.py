@@ -74,10 +74,11 @@ def by_dask(work: Work, names: Sequence[str], address: str) -> Iterator[Outcome]
     more, alone on the cluster.
 
     Raises:
-        UserError: dask is not installed, or no scheduler answers.
+        UserError: dask is not installed; no scheduler answers, or it is lost.
     """
     try:
         from distributed import Client, KilledWorker, as_completed
+        from distributed.client import FutureCancelledError
     except ImportError:
         raise UserError("backend=dask needs dask: pip install -e '.[cluster]'.") from None
     try:
@@ -86,20 +87,25 @@ def by_dask(work: Work, names: Sequence[str], address: str) -> Iterator[Outcome]
         raise UserError(
             f"No dask scheduler answers at dask_address={address} ({error}): start one, or name it."
         ) from None
-    with client:
-        name_of = {client.submit(work, name, pure=False): name for name in names}
-        blamed = []
-        for future in as_completed(name_of, loop=client.loop):
-            if isinstance(future.exception(), KilledWorker):
-                blamed.append(name_of[future])
-            else:
-                yield future.result()
-            future.release()
-        for name in blamed:
-            try:
-                yield client.submit(work, name, pure=False).result()
-            except KilledWorker:
-                yield Outcome(name, _killed())
+    try:
+        with client:
+            name_of = {client.submit(work, name, pure=False): name for name in names}
+            blamed = []
+            for future in as_completed(name_of, loop=client.loop):
+                if isinstance(future.exception(), KilledWorker):
+                    blamed.append(name_of[future])
+                else:
+                    yield future.result()
+                future.release()
+            for name in blamed:
+                try:
+                    yield client.submit(work, name, pure=False).result()
+                except KilledWorker:
+                    yield Outcome(name, _killed())
+    except FutureCancelledError:
+        raise UserError(
+            f"The dask scheduler at dask_address={address} was lost: start it again, and the same command, which goes on."
+        ) from None
 
 
 def _killed(times: int | None = None) -> str:

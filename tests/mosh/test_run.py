@@ -241,6 +241,100 @@ def test_pictures_and_a_folder_of_models(lab, tmp_path, actor):
         assert film.n_frames == len(sequence) / 2 and film.size == (460, 560)
 
 
+def test_a_damaged_capture_is_no_matter_to_stage_one(lab, tmp_path, capsys):
+    captures = tmp_path / "captures"
+    captures.mkdir()
+    (captures / "a_damaged.c3d").write_bytes(b"x" * 600)
+    (captures / "box_lift_1.csv").write_text((lab / "captures/box_lift_2.csv").read_text())
+    assert run(config(*arguments(lab, tmp_path / "out", f"capture={captures}"))) == 1
+    assert capsys.readouterr().err.splitlines() == [
+        f"error: s9/a_damaged: {captures}/a_damaged.c3d is no c3d file: it lacks the format's first two bytes."
+    ]
+
+
+def test_whose_template_and_whose_markers_is_asked(lab, tmp_path, actor):
+    big = tmp_path / "mm.ply"
+    save_mesh(big, Mesh(1000 * actor.body.v_template.numpy(), actor.body.faces.numpy()))
+    with pytest.raises(UserError, match="times as large as the body model: it must be in metres"):
+        run(config(*arguments(lab, tmp_path / "out", f"subject={big}")))
+    two = [f"{who}:{label}" for who in ("a", "b") for label in actor.layout.labels]
+    write_csv(tmp_path / "two.csv", two, np.concatenate([actor.markers, actor.markers + np.array([1, 0, 0])], 1)[:4])
+    command = arguments(lab, tmp_path / "out", f"capture={tmp_path / 'two.csv'}", "objects=null", "meshes=null")
+    with pytest.raises(UserError, match="the labels of a, b all fit the layout: say whom to solve by reading"):
+        run(config(*command))
+    assert run(config(*command, "reading.prefix=b")) == 0, "a run that could not start claims no folder"
+    assert read_sequence(tmp_path / "out/grab/s9/two.npz").body.transl[0, 0] > 0.9
+
+
+def test_a_body_that_lies_down_is_asked_about(lab, tmp_path, actor, capsys):
+    write_csv(tmp_path / "turned.csv", actor.layout.labels, actor.markers[:4])  # the actor's y is up
+    here = [f"capture={tmp_path / 'turned.csv'}", "objects=null", "meshes=null"]
+    assert run(config(*arguments(lab, tmp_path / "lying", *here))) == 0
+    assert "lies along the file's axis y in most frames: if that is up, give reading.up" in capsys.readouterr().out
+    assert run(config(*arguments(lab, tmp_path / "standing", *here, "reading.up=y"))) == 0
+    assert "reading.up" not in capsys.readouterr().out
+
+
+def test_limbs_without_markers_are_named(lab, tmp_path, actor, capsys):
+    owners = [actor.body.weights[marker.vertices[0]].argmax() for marker in actor.layout.markers]
+    kept = [joint not in (4, 7, 10) for joint in owners]  # of the left leg from the knee on
+    labels = [label for label, keep in zip(actor.layout.labels, kept, strict=True) if keep]
+    write_csv(tmp_path / "one_leg.csv", labels, actor.markers[:4, kept])
+    here = [f"capture={tmp_path / 'one_leg.csv'}", "objects=null", "meshes=null"]
+    assert run(config(*arguments(lab, tmp_path / "out", *here))) == 0
+    assert "No marker sits beyond left_knee: how the body is bent there is guessed." in capsys.readouterr().out
+
+
+def test_a_killed_run_goes_on_where_it_was(lab, tmp_path):
+    captures = tmp_path / "captures"
+    captures.mkdir()
+    for k in range(1, 9):
+        (captures / f"box_lift_{k}.csv").write_text((lab / "captures/box_lift_1.csv").read_text())
+    command = arguments(lab, tmp_path / "out", f"capture={captures}", "stage_one_captures=2")
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    running = subprocess.Popen([sys.executable, "-m", "grabnet", "mosh", *command], cwd=ROOT, env=env)
+    reports, recordings = tmp_path / "out/mosh/s9", tmp_path / "out/grab/s9"
+    while running.poll() is None and not [*reports.glob("[!.]*.json")]:
+        time.sleep(0.005)
+    running.kill()
+    running.wait()
+    done = {path.stem: (recordings / f"{path.stem}.npz").stat().st_mtime_ns for path in reports.glob("[!.]*.json")}
+    assert 1 <= len(done) < 8
+    assert run(config(*command)) == 0
+    assert len([*reports.glob("*.json")]) == len([*recordings.glob("*.npz")]) == 8
+    assert not [path for path in (tmp_path / "out").rglob("*") if path.suffix in (".tally", ".tmp")]
+    for name, when in done.items():
+        assert (recordings / f"{name}.npz").stat().st_mtime_ns == when
+
+
+def test_pictures_and_a_folder_of_models(lab, tmp_path, actor):
+    from PIL import Image
+
+    from grabnet.body.hand import OPEN_HANDS
+    from grabnet.body.whole import OPEN_BODY
+    from grabnet.visual.pictures import can_render
+
+    models = tmp_path / "models"
+    (models / "smplx").mkdir(parents=True)
+    (models / "mano").mkdir()
+    (models / "smplx/SMPLX_FEMALE.npz").write_bytes((OPEN_BODY / "SMPLX_NEUTRAL.npz").read_bytes())
+    for side in ("LEFT", "RIGHT"):
+        (models / f"mano/MANO_{side}.npz").write_bytes((OPEN_HANDS / f"MANO_{side}.npz").read_bytes())
+    capture = f"capture={lab / 'captures/box_lift_2.csv'}"
+    more = [capture, f"models={models}", "gender=female", "pictures=true"]
+    assert run(config(*arguments(lab, tmp_path / "out", *more))) == 0
+    sequence = read_sequence(tmp_path / "out/grab/s9/box_lift_2.npz")
+    assert sequence.gender == "female" and (tmp_path / "out" / sequence.body.vtemp).exists()
+    assert run(config(*arguments(lab, tmp_path / "open", capture, "gender=female"))) == 0
+    other = read_sequence(tmp_path / "open/grab/s9/box_lift_2.npz")
+    np.testing.assert_array_equal(sequence.body.fullpose, other.body.fullpose)
+    plot = tmp_path / "out/mosh/s9/box_lift_2.png"
+    assert Image.open(plot).size[0] == 1200
+    if can_render() is None:
+        film = Image.open(plot.with_suffix(".webp"))
+        assert film.n_frames == len(sequence) / 2 and film.size == (460, 560)
+
+
 def test_layouts_are_shipped():
     assert {path.name for path in LAYOUTS.glob("*.yaml")} == {
         "open_body_grab99.yaml", "open_body_plug_in_gait.yaml", "open_objects.yaml",
