@@ -104,7 +104,7 @@ def by_dask(work: Work, names: Sequence[str], address: str) -> Iterator[Outcome]
                     yield Outcome(name, _killed())
     except FutureCancelledError:
         raise UserError(
-            f"The dask scheduler at dask_address={address} was lost: start it again, and the same command, which goes on."
+            f"The dask scheduler at dask_address={address} was lost: start both again; what is done stays."
         ) from None
 
 

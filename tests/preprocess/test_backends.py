@@ -68,3 +68,25 @@ def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
     monkeypatch.setattr("grabnet.preprocess.backends._PATIENCE", 0.5)
     with pytest.raises(UserError, match=r"No dask scheduler answers at dask_address=tcp://127\.0\.0\.1:1 "):
         next(by_dask(print, ["a"], "tcp://127.0.0.1:1"))
+
+
+def _slow(name):
+    time.sleep(0.2)
+    return name
+
+
+def test_a_scheduler_that_is_lost_is_named(tmp_path):
+    import dask
+    from distributed import LocalCluster
+
+    with (
+        dask.config.set({"distributed.comm.timeouts.connect": "1s"}),
+        LocalCluster(
+            n_workers=1, processes=False, dashboard_address=None, silence_logs=50, local_directory=str(tmp_path)
+        ) as cluster,
+    ):
+        outcomes = by_dask(_slow, [*"abcdefgh"], cluster.scheduler_address)
+        next(outcomes)
+        cluster.sync(cluster.scheduler.close)
+        with pytest.raises(UserError, match=r"The dask scheduler at dask_address=\S+ was lost"):
+            list(outcomes)
