@@ -109,10 +109,9 @@ def check_savable(network: SavedNetwork, hand: HandModel) -> None:
 
 def check_hand(path: str | Path, hand: HandModel) -> None:
     """Raise a `UserError` where the network at `path` is known to have been trained with another hand."""
-    # Files without conventions name the template alone, in their provenance.
-    trained_with = read_conventions(path).hand
-    template = read_provenance(path).get("hand_sha256") if trained_with is None else None
-    if trained_with not in (None, hand.fingerprint) or template not in (None, sha256(hand.v_template.cpu().numpy())):
+    # Files without conventions name the hand in their provenance, and the oldest the hash of its template alone.
+    trained_with = read_conventions(path).hand or read_provenance(path).get("hand_sha256")
+    if trained_with not in (None, hand.fingerprint, sha256(hand.v_template.cpu().numpy())):
         raise UserError(
             f"{path} was trained with another hand model: give that one, with hand_model=<its file> when sampling, "
             "else with hand_model=mano hand_model.path=<its file>."
