@@ -21,14 +21,14 @@ _BATCH = 64
 
 
 class Group(NamedTuple):
-    """What a sequence is counted under; empty what is not known of it, or not told apart."""
+    """What a sequence is counted under; empty what is not known of it, or not distinguished."""
 
     intent: str
     subject: str
     object: str
 
     def merged(self, by: Collection[str]) -> Group:
-        """The group with what is not told apart left empty."""
+        """The group without what is not distinguished."""
         return Group(*(value if field in by else "" for field, value in self._asdict().items()))
 
 

@@ -29,7 +29,7 @@ from grabnet.mosh.stage_one import on_trunk
 from grabnet.mosh.stage_two import StageTwoConfig, put_right, stage_two
 from grabnet.mosh.subjects import Subject, expression_directions
 from grabnet.mosh.tallies import Tally
-from grabnet.mosh.things import Followed, Following, follow_one, mesh_of
+from grabnet.mosh.objects import Followed, Following, follow_one, mesh_of
 from grabnet.preprocess.backends import Outcome
 from grabnet.preprocess.sequence_work import peak_memory
 

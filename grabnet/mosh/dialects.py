@@ -145,7 +145,7 @@ def _motive(path: object, rows: Rows) -> Table:
         raise UserError(f"{path} lacks the rows Type, Name and X, Y, Z of Motive's tables: export it again.")
     types, names, what = by_kind["type"], by_kind["name"], rows[at - 1]
     positions = [i for i in _triplets(rows[at]) if i < min(map(len, (types, names, what))) and what[i] == "Position"]
-    found = ([i for i in positions if types[i].lower() in wanted] for wanted in _MOTIVE_TYPES)
+    found = ([i for i in positions if types[i].lower() in kinds] for kinds in _MOTIVE_TYPES)
     columns = next(filter(None, found), [])
     if not columns:
         raise UserError(f"{path} has no columns of markers, but {', '.join(sorted({*types[2:]} - {''}))}: export them.")

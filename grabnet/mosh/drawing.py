@@ -54,7 +54,7 @@ class Solved:
     residuals: np.ndarray
 
 
-def draw_quality(path: Path, solved: Solved, facts: dict[str, Any], limits: Limits, thing: Mesh | None) -> None:
+def draw_quality(path: Path, solved: Solved, facts: dict[str, Any], limits: Limits, object_mesh: Mesh | None) -> None:
     """Draw how well a recording fits: `.png`, residuals over time, and where films can be made `.webp`.
 
     Args:
@@ -62,11 +62,11 @@ def draw_quality(path: Path, solved: Solved, facts: dict[str, Any], limits: Limi
         solved: the recording.
         facts: of its quality.
         limits: beyond which frames are flagged.
-        thing: the object's mesh, to show it.
+        object_mesh: the object's mesh, to show it.
     """
     _plot(Path(f"{path}.png"), solved, facts, limits)
     if can_render() is None:
-        _film(Path(f"{path}.webp"), solved, thing)
+        _film(Path(f"{path}.webp"), solved, object_mesh)
 
 
 def _plot(path: Path, solved: Solved, facts: dict[str, Any], limits: Limits) -> None:
@@ -119,7 +119,7 @@ def _missing_white() -> Colormap:
     return colormaps["cividis"].with_extremes(bad="white", over=_BAD)
 
 
-def _film(path: Path, solved: Solved, thing: Mesh | None) -> None:
+def _film(path: Path, solved: Solved, object_mesh: Mesh | None) -> None:
     sequence, body, rate = solved.sequence, solved.body, solved.sequence.framerate
     every = max(round(rate / _FRAMES_PER_SECOND), -(-len(sequence) // _MOST_FRAMES))
     frames = np.arange(0, len(sequence), every)
@@ -135,9 +135,9 @@ def _film(path: Path, solved: Solved, thing: Mesh | None) -> None:
         seen, at, off = solved.observed[frame], solved.model[frame], solved.residuals[frame]
         shapes = [_tiles(centre, reach, floor), Shape(skin, body.faces.numpy(), SKIN, 0.55)]
         shapes += [_seen(seen, off), *_sticks(seen, at)]
-        if thing is not None:
-            placed = sequence.object.to_world(torch.tensor(thing.vertices), np.array([frame]))[0]
-            shapes.append(Shape(placed.numpy(), thing.faces, OBJECT))
+        if object_mesh is not None:
+            placed = sequence.object.to_world(torch.tensor(object_mesh.vertices), np.array([frame]))[0]
+            shapes.append(Shape(placed.numpy(), object_mesh.faces, OBJECT))
         picture = render(shapes, _VIEW, size=(460, 520))
         pictures.append(Image.fromarray(contact_sheet([picture], [f"{frame / rate:.2f} s  {_in_short(off)}"])))
     with replacing(path) as temporary:

@@ -37,7 +37,7 @@ from grabnet.mosh.stage_one import StageOneConfig
 from grabnet.mosh.stage_two import StageTwoConfig
 from grabnet.mosh.subjects import Subject
 from grabnet.mosh.tallies import followed
-from grabnet.mosh.things import Following, check_things, write_meshes
+from grabnet.mosh.objects import Following, check_objects, write_meshes
 from grabnet.preprocess.backends import Outcome, by_dask, by_joblib, machine_cores
 from grabnet.visual.pictures import can_render
 
@@ -115,7 +115,7 @@ def run(config: MoshConfig) -> int:
     if len(captures) < len(files):
         raise UserError(f"{config.capture} holds captures of the same name: the recordings are named after them.")
     layouts = {} if config.objects is None else read_object_layouts(config.objects)
-    meshes = check_things(config.meshes, layouts)
+    meshes = check_objects(config.meshes, layouts)
     with alone_in(config.root, "out"):
         recipe, placed = config.record("recipe.json"), config.record("placement.npz")
         if not placed.exists():  # nothing was solved by it
@@ -236,8 +236,8 @@ def _summarise(config: MoshConfig, reports: dict[str, Any], outcomes: list[Outco
 
 def _in_short(report: dict[str, Any]) -> str:
     """How good a recording is; what was not seen, or not believed, stands beside the distances."""
-    body, thing = report["body"], report["object"]
+    body, followed_object = report["body"], report["object"]
     line = f"{body['frames']} frames, markers {body['residual_mm']['median']} mm off (median)"
     line += f", {body['missing']:.1%} missing, {body['outliers']:.1%} outliers"
     line += f", {body['flagged_frames']} frames flagged" * bool(body["flagged_frames"])
-    return line + (f", {thing['name']} {thing['residual_mm']} mm" if thing else "")
+    return line + (f", {followed_object['name']} {followed_object['residual_mm']} mm" if followed_object else "")

@@ -14,7 +14,7 @@ from grabnet.mosh.layouts import object_layout
 from grabnet.mosh.markers import MarkerData
 from grabnet.mosh.quality import Limits, flagged, quality
 from grabnet.mosh.tallies import Tally, followed
-from grabnet.mosh.things import Following, check_things, follow_one, mesh_of
+from grabnet.mosh.objects import Following, check_objects, follow_one, mesh_of
 
 HOW = Following(0.004, 12, 0.0)
 CORNERS = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
@@ -99,8 +99,8 @@ def test_labels_of_objects_that_do_not_fit_are_named():
 def test_objects_that_cannot_be_written_are_refused(tmp_path):
     box = object_layout("../box", ["a", "b", "c", "d"], CORNERS)
     with pytest.raises(UserError, match=r"An object is named '\.\./box'"):
-        check_things(None, {"../box": box})
+        check_objects(None, {"../box": box})
     with pytest.raises(UserError, match="meshes= is given without objects="):
-        check_things(str(tmp_path), {})
+        check_objects(str(tmp_path), {})
     with pytest.raises(UserError, match="holds a mesh of none of the objects that have a layout: box"):
-        check_things(str(tmp_path), {"box": box})
+        check_objects(str(tmp_path), {"box": box})

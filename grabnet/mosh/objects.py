@@ -103,7 +103,7 @@ def follow_one(markers: MarkerData, layouts: Mapping[str, ObjectLayout], how: Fo
     return Followed(moving, motion, labels, tuple(notes))
 
 
-def check_things(meshes: str | None, layouts: Mapping[str, ObjectLayout]) -> dict[str, Path]:
+def check_objects(meshes: str | None, layouts: Mapping[str, ObjectLayout]) -> dict[str, Path]:
     """Mesh files of those objects that have one.
 
     Raises:
