@@ -21,6 +21,7 @@ from grabnet.mosh.assembling import assemble
 from grabnet.mosh.attachment import Attachment, Pose
 from grabnet.mosh.choosing import refuse_other_size
 from grabnet.mosh.layouts import ObjectLayout
+from grabnet.mosh.objects import Followed, Following, follow_one, mesh_of
 from grabnet.mosh.placement import Placement
 from grabnet.mosh.priors import PriorConfig, joint_prior
 from grabnet.mosh.quality import Limits, marker_residuals, quality
@@ -29,7 +30,6 @@ from grabnet.mosh.stage_one import on_trunk
 from grabnet.mosh.stage_two import StageTwoConfig, put_right, stage_two
 from grabnet.mosh.subjects import Subject, expression_directions
 from grabnet.mosh.tallies import Tally
-from grabnet.mosh.objects import Followed, Following, follow_one, mesh_of
 from grabnet.preprocess.backends import Outcome
 from grabnet.preprocess.sequence_work import peak_memory
 

@@ -29,6 +29,7 @@ from grabnet.io.recipes import claim
 from grabnet.mosh.capture_work import CaptureWork, read_report, report_path
 from grabnet.mosh.captures import expected_frames, find_captures
 from grabnet.mosh.layouts import Layout, read_layout, read_object_layouts
+from grabnet.mosh.objects import Following, check_objects, write_meshes
 from grabnet.mosh.placement import Placement, find_placement
 from grabnet.mosh.priors import PriorConfig
 from grabnet.mosh.quality import Limits
@@ -37,7 +38,6 @@ from grabnet.mosh.stage_one import StageOneConfig
 from grabnet.mosh.stage_two import StageTwoConfig
 from grabnet.mosh.subjects import Subject
 from grabnet.mosh.tallies import followed
-from grabnet.mosh.objects import Following, check_objects, write_meshes
 from grabnet.preprocess.backends import Outcome, by_dask, by_joblib, machine_cores
 from grabnet.visual.pictures import can_render
 

@@ -12,9 +12,9 @@ import pytest
 from grabnet.errors import UserError
 from grabnet.mosh.layouts import object_layout
 from grabnet.mosh.markers import MarkerData
+from grabnet.mosh.objects import Following, check_objects, follow_one, mesh_of
 from grabnet.mosh.quality import Limits, flagged, quality
 from grabnet.mosh.tallies import Tally, followed
-from grabnet.mosh.objects import Following, check_objects, follow_one, mesh_of
 
 HOW = Following(0.004, 12, 0.0)
 CORNERS = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
