@@ -101,6 +101,10 @@ class HandModel(SkinnedModel):
         values += [self.posedirs] if self.has_pose_correctives else []
         return sha256(*(value.float().cpu().numpy() for value in values), np.array(self.parents, np.int64))
 
+    def is_named_by(self, recorded: str | None) -> bool:
+        """Whether a recorded hash is of this hand: its fingerprint or, in old records, that of its template."""
+        return recorded in (self.fingerprint, sha256(self.v_template.cpu().numpy()))
+
     def shaped(self, betas: Tensor, v_template: Tensor | None = None) -> Tensor:
         """Rest vertices (..., V, 3) of shapes `betas` (..., n) with n up to the model's number of betas."""
         n = betas.shape[-1]

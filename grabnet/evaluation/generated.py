@@ -145,7 +145,7 @@ def _check_record(place: Path, file: Path, hand: HandModel) -> None:
     made_for, posed = said.get("mesh_sha256"), said.get("hand_sha256")
     if made_for not in (None, sha256(file)):
         raise UserError(f"The grasps in {place} were made for another mesh than {file}: make them for that one.")
-    if posed not in (None, hand.fingerprint):
+    if posed is not None and not hand.is_named_by(posed):
         raise UserError(
             f"The grasps in {place} are poses of another hand model: give them as meshes, or evaluate with data and "
             "hand_model of that hand."

@@ -15,7 +15,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from grabnet.body.hand import HandModel
 from grabnet.errors import UserError
 from grabnet.geometry.conventions import Conventions
-from grabnet.io.files import existing, sha256, write_bytes
+from grabnet.io.files import existing, write_bytes
 from grabnet.io.state import Finite, Kind, parsed_json
 from grabnet.io.tensors import Tensors, check_tensors, fact, header_facts, read_tensors
 from grabnet.models.coarsenet import CoarseNet
@@ -109,9 +109,9 @@ def check_savable(network: SavedNetwork, hand: HandModel) -> None:
 
 def check_hand(path: str | Path, hand: HandModel) -> None:
     """Raise a `UserError` where the network at `path` is known to have been trained with another hand."""
-    # Files without conventions name the hand in their provenance, and the oldest the hash of its template alone.
+    # Files without conventions name the hand in their provenance.
     trained_with = read_conventions(path).hand or read_provenance(path).get("hand_sha256")
-    if trained_with not in (None, hand.fingerprint, sha256(hand.v_template.cpu().numpy())):
+    if trained_with is not None and not hand.is_named_by(trained_with):
         raise UserError(
             f"{path} was trained with another hand model: give that one, with hand_model=<its file> when sampling, "
             "else with hand_model=mano hand_model.path=<its file>."

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import socket
 import time
-import traceback
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +12,7 @@ from torch import Tensor
 
 from grabnet.data.sequences import write_sequence
 from grabnet.errors import UserError
-from grabnet.io.files import DISK_ERRORS, sha256, write_json
+from grabnet.io.files import sha256, write_json
 from grabnet.io.state import Finite, read_json
 from grabnet.mosh.assembling import assemble
 from grabnet.mosh.attachment import Attachment, Pose
@@ -31,7 +28,7 @@ from grabnet.mosh.stage_two import StageTwoConfig, put_right, stage_two
 from grabnet.mosh.subjects import Subject, expression_directions
 from grabnet.mosh.tallies import Tally
 from grabnet.preprocess.backends import Outcome
-from grabnet.preprocess.sequence_work import peak_memory
+from grabnet.preprocess.sequence_work import outcome_of
 
 # What is read back of a report.
 _REPORT = {
@@ -87,20 +84,10 @@ class CaptureWork:
         """Never raises for what is wrong with the one capture.
 
         Raises:
-            UserError: the disk takes no more.
+            OSError: the folder cannot be written to.
         """
         torch.set_num_threads(self.threads)
-        failure = None
-        try:
-            self._solve(name)
-        except UserError as error:
-            failure = str(error)
-        except Exception as error:
-            if isinstance(error, OSError) and error.errno in DISK_ERRORS:
-                raise UserError(f"{self.root} cannot be written to ({error.strerror}): make room there.") from None
-            at = [frame for frame in traceback.extract_tb(error.__traceback__) if "grabnet" in frame.filename][-1]
-            failure = f"{type(error).__name__}: {error} ({Path(at.filename).name}, line {at.lineno})"
-        return Outcome(name, failure, f"{socket.gethostname()}:{os.getpid()}", peak_memory())
+        return outcome_of(name, self.root, lambda: self._solve(name))
 
     def _solve(self, name: str) -> None:
         path, began = self.captures[name], time.monotonic()
@@ -113,10 +100,10 @@ class CaptureWork:
         attachment = Attachment(
             body, self.placement.v_template, layout, self.placement.latent, directions, dtype, self.prior.fixed
         )
+        trunk = on_trunk(attachment)
+        refuse_other_size(observed, self.placement.latent.numpy(), trunk.numpy(), path)
         tally, solving = Tally(self.root, name), time.process_time()
         try:
-            trunk = on_trunk(attachment)
-            refuse_other_size(observed, self.placement.latent.numpy(), trunk.numpy(), path)
             pose = stage_two(
                 attachment, torch.as_tensor(observed), markers.rate, joint_prior(body, self.prior), self.prior,
                 self.config, trunk, lambda share: tally.add(share * len(markers)),
@@ -152,7 +139,7 @@ class CaptureWork:
 def _exchanged(attachment: Attachment, pose: Pose, observed: Tensor, reach: float) -> list[str]:
     """How many markers count under other labels than the capture's, if any do."""
     labelled = put_right(attachment, pose, observed, reach)
-    moved = ~labelled.isclose(observed, rtol=0, atol=0, equal_nan=True).all(-1)
+    moved = ~labelled.isclose(observed, rtol=0, atol=0, equal_nan=True).all(-1) & labelled[..., 0].isfinite()
     if not moved.any():
         return []
     return [

@@ -21,6 +21,7 @@ from grabnet.io.files import replacing
 from grabnet.mosh.layouts import Layout
 from grabnet.mosh.placing import TYPE_COLORS, balls
 from grabnet.mosh.quality import Limits
+from grabnet.mosh.synthesis import posed_vertices
 from grabnet.visual.pictures import OBJECT, SKIN, Shape, can_render, contact_sheet, render
 
 _FRAMES_PER_SECOND, _MOST_FRAMES = 15, 120
@@ -124,9 +125,7 @@ def _film(path: Path, solved: Solved, object_mesh: Mesh | None) -> None:
     every = max(round(rate / _FRAMES_PER_SECOND), -(-len(sequence) // _MOST_FRAMES))
     frames = np.arange(0, len(sequence), every)
     with torch.no_grad():
-        skins = np.stack([
-            body(sequence.body.parameters(np.array([frame])), solved.v_template).vertices[0].numpy() for frame in frames
-        ])  # fmt: skip
+        skins = torch.cat([*posed_vertices(sequence.body, body, solved.v_template, frames)]).numpy()
     middle = skins.mean(1)
     reach = np.abs(skins - middle[:, None]).max((0, 1)) + 0.05
     floor = float(skins[..., 2].min())

@@ -150,9 +150,9 @@ def _made(path: Path) -> Path:
 
 
 def _travel(markers: MarkerData) -> float:
-    """How far the middle of what is seen of an object moves, metres; below 0 where it is never seen."""
-    middle = np.nanmean(markers.positions[markers.seen.any(1)], 1)
-    return float(np.ptp(middle, axis=0).max()) if len(middle) else -1.0
+    """How far half of an object's markers move at least, metres; below 0 where none is ever seen."""
+    own = markers.positions[:, markers.seen.any(0)]
+    return float(np.median((np.nanmax(own, 0) - np.nanmin(own, 0)).max(1))) if own.shape[1] else -1.0
 
 
 def _rounded(millimetres: torch.Tensor) -> float | None:

@@ -12,8 +12,9 @@ from torch import Tensor
 
 from grabnet.body.anatomy import vertex_normals
 from grabnet.body.skeleton import JOINTS
+from grabnet.cli.ends import note
 from grabnet.errors import UserError
-from grabnet.io.files import replacing
+from grabnet.io.files import replacing, sha256
 from grabnet.io.npz import read_npz
 from grabnet.mosh.attachment import Pose
 from grabnet.mosh.choosing import choose_frames
@@ -44,6 +45,8 @@ class Placement:
     def load(cls, path: Path) -> Placement:
         """Read what `save` wrote; path is without suffix."""
         stored = read_npz(Path(f"{path}.npz"))
+        if str(stored["layout_sha256"]) != sha256(Path(f"{path}.yaml")):
+            raise UserError(f"{path}.yaml is not as it was when {path}.npz was written: restore it, or delete both.")
         layout = read_layout(f"{path}.yaml", len(stored["v_template"]))
         return cls(layout, torch.as_tensor(stored["latent"]), torch.as_tensor(stored["v_template"]))
 
@@ -52,7 +55,7 @@ class Placement:
         write_layout(f"{path}.yaml", self.layout)
         with replacing(Path(f"{path}.npz")) as temporary:
             np.savez(temporary, latent=self.latent.numpy(), v_template=self.v_template.numpy(),
-                     labels=np.array(self.layout.labels))  # fmt: skip
+                     layout_sha256=np.array(sha256(Path(f"{path}.yaml"))))  # fmt: skip
 
 
 def find_placement(
@@ -82,8 +85,8 @@ def find_placement(
     there = {label for markers in own.values() for label in markers.labels}
     where = next(iter(own)) if len(own) == 1 else files[0].parent
     layout, notes = layout.restricted(sorted(there), where)
-    for note in notes:
-        print(note)
+    for remark in notes:
+        note(remark)
     if bare := _bare_limbs(subject, layout):
         print(f"No marker sits beyond {', '.join(bare)}: how the body is bent there is guessed.")
     positions = np.concatenate([markers.pick(layout.labels).positions[:: _thin(markers)] for markers in own.values()])
@@ -97,13 +100,13 @@ def find_placement(
     seen = np.isfinite(positions[frames][..., 0])
     if not (shown := seen.any(0)).all():
         lost = [label for label, there in zip(layout.labels, shown, strict=True) if not there]
-        print(f"{', '.join(lost)}: in none of Stage I's frames, so where the layout has it.")
+        note(f"{', '.join(lost)}: in none of Stage I's frames, so where the layout has it.")
     directions = None if config.betas else expression_directions(body)
     found = stage_one(body, template, layout, positions[frames], config, prior, directions)
     typical = float(found.residuals.nanmedian())
-    print(f"Stage I: {len(frames)} frames; markers {1e3 * typical:.2f} mm (median) from where the body has them.")
-    if note := _lying(found.poses):
-        print(note)
+    note(f"Stage I: {len(frames)} frames; markers {1e3 * typical:.2f} mm (median) from where the body has them.")
+    if question := _lying(found.poses):
+        note(question)
     return Placement(found.layout, found.latent, found.v_template)
 
 
@@ -138,7 +141,7 @@ def _readable(files: Sequence[Path], reading: Reading, layout: Layout, n: int) -
 
 
 def _thin(markers: MarkerData) -> int:
-    return max(1, len(markers) // _FRAMES)
+    return max(1, -(-len(markers) // _FRAMES))
 
 
 def _lying(poses: Pose) -> str | None:

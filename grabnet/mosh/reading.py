@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from grabnet.cli.checks import Positive, in_range
+from grabnet.cli.checks import Positive, in_range, one_of
 from grabnet.errors import UserError
 from grabnet.mosh.captures import read_capture
 from grabnet.mosh.layouts import Layout
@@ -17,7 +17,7 @@ class Reading:
     """How captures are read: see `read_capture`. prefix: of the subject's labels; the one that fits best when None.
 
     Raises:
-        UserError: a rate out of range.
+        UserError: a rate out of range; an unknown unit or axis.
     """
 
     unit: str | None = None
@@ -27,6 +27,7 @@ class Reading:
 
     def __post_init__(self):
         in_range(self, "reading.")
+        one_of(self, "reading.", unit=(None, "mm", "cm", "m"), up=("x", "y", "z"))
 
     def read(self, path: Path) -> MarkerData:
         """All markers of a file."""

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from grabnet.cli.checks import Amount, Concurrent, Count, Name, Positive, Weight, in_range, one_of
-from grabnet.cli.ends import say
+from grabnet.cli.ends import note, say
 from grabnet.cli.progress import steps
 from grabnet.errors import UserError
 from grabnet.io.files import existing, sha256, write_json
@@ -120,7 +120,7 @@ def run(config: MoshConfig) -> int:
         recipe, placed = config.record("recipe.json"), config.record("placement.npz")
         if not placed.exists():  # nothing was solved by it
             recipe.unlink(missing_ok=True)
-        remedy = f"delete {config.root / 'mosh' / config.name}*, or choose another out="
+        remedy = f"delete {config.root / 'mosh' / config.name} and {config.record('*')}, or choose another out="
         claim(recipe, _recipe(config, subject, meshes), remedy)
         clear_litter(config.root, "grab/*/*.*", "mosh/*.*", "mosh/*/*.*", "tools/*/*.*", "tools/*/*/*.*")
         placement = _placement(config, subject, layout, files)
@@ -135,7 +135,7 @@ def run(config: MoshConfig) -> int:
         failures = sorted((o for o in outcomes if o.failure), key=lambda o: o.name)
         write_json(config.record("failures.json"), {o.name: o.failure for o in failures})
         if config.pictures and (reason := can_render()):
-            print(reason)
+            note(reason)
         reports = {name: read_report(config.root, name) for name in captures
                    if report_path(config.root, name).exists()}  # fmt: skip
         _summarise(config, reports, outcomes, time.monotonic() - began)
@@ -152,7 +152,7 @@ def _check_shape(config: MoshConfig, n_betas: int) -> None:
     if betas and config.subject is not None:
         raise UserError(f"{config.subject} gives the subject's shape: stage_one.betas must be 0, not {betas}.")
     if not betas and config.subject is None:
-        print("No scan of the subject: the model's mean shape stands for theirs. Give subject= or fit=unscanned.")
+        note("No scan of the subject: the model's mean shape stands for theirs. Give subject= or fit=unscanned.")
 
 
 def _recipe(config: MoshConfig, subject: Subject, meshes: dict[str, Path]) -> dict[str, Any]:
@@ -177,13 +177,13 @@ def _placement(config: MoshConfig, subject: Subject, layout: Layout, files: list
     """Where the markers sit: found from some captures, or as found before."""
     path = config.record("placement")
     if Path(f"{path}.npz").exists():
-        print(f"The markers sit where {path}.yaml has them, as found before.")
+        note(f"The markers sit where {path}.yaml has them, as found before.")
         return Placement.load(path)
     found = find_placement(
         subject, layout, files, config.reading, config.stage_one_captures, config.stage_one, config.prior
     )
     found.save(path)
-    return found
+    return Placement.load(path)  # a run that goes on has the same numbers
 
 
 def _work(config: MoshConfig, work: CaptureWork) -> Iterator[Outcome]:
@@ -226,12 +226,12 @@ def _summarise(config: MoshConfig, reports: dict[str, Any], outcomes: list[Outco
         ),
     )  # fmt: skip
     for name, report in reports.items():
-        for note in report["notes"]:
-            print(f"{name}: {note}")
-        print(f"{name}: {_in_short(report)}")
+        for remark in report["notes"]:
+            note(f"{name}: {remark}")
+        note(f"{name}: {_in_short(report)}")
     if frames and cpu:
-        print(f"Solved {frames} frames at {frames / cpu:.0f} frames per second of one core.")
-    print(f"The recordings are in {config.root / 'grab'}.")
+        note(f"Solved {frames} frames at {frames / cpu:.0f} frames per second of one core.")
+    note(f"The recordings are in {config.root / 'grab'}.")
 
 
 def _in_short(report: dict[str, Any]) -> str:

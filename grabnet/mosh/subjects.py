@@ -127,7 +127,7 @@ class Subject:
 
 
 def expression_directions(body: BodyModel) -> Tensor | None:
-    """(V, 3, up to 10) the directions of expression that move anything; None of a model that has none."""
+    """(V, 3, up to 10) directions of expression, up to the last that moves anything; None of a model without."""
     directions = body.shapedirs[..., body.n_betas : body.n_betas + 10]
-    used = directions.abs().amax((0, 1)) > 0
-    return directions[..., used] if used.any() else None
+    used = (directions.abs().amax((0, 1)) > 0).nonzero()
+    return directions[..., : int(used.max()) + 1] if len(used) else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ from grabnet.evaluation.methods import Method, Row, method_rows
 from grabnet.geometry.mesh import Mesh
 from grabnet.study.catches import Catches
 from grabnet.study.config import ExportConfig
-from grabnet.study.key import CATCH, EXAMPLE, Shown
+from grabnet.study.key import ALL, CATCH, EXAMPLE, Shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,10 @@ def study_grasps(config: ExportConfig) -> StudyGrasps:
         UserError: conditions, objects, models or data that are missing, or too few grasps.
     """
     inputs = EvaluationInputs(instantiate(_evaluation(config), _convert_="object"))
-    methods = [row.make() for row in _chosen(method_rows(inputs), config)]
+    rows = _chosen(method_rows(inputs), config)
+    _refuse_reserved("condition", [row.name for row in rows], (CATCH, EXAMPLE))
+    _refuse_reserved("object", inputs.objects, (CATCH, ALL))
+    methods = [row.make() for row in rows]
     grasps = [grasp for method in methods for name in inputs.objects for grasp in _of(method, name, config.n)]
     for number, name in enumerate(inputs.objects):
         truth, seed = inputs.truth[name], config.seed
@@ -77,6 +80,13 @@ def study_grasps(config: ExportConfig) -> StudyGrasps:
         "hand_sha256": inputs.hand.fingerprint,
     }
     return StudyGrasps([method.name for method in methods], inputs.meshes, grasps, record)
+
+
+def _refuse_reserved(kind: str, names: Iterable[str], reserved: tuple[str, ...]) -> None:
+    """Raise a `UserError` for a name that a study uses itself."""
+    for name in names:
+        if name.casefold() in reserved:
+            raise UserError(f"A {kind} is named '{name}', as a part of every study is: rename its folder or mesh.")
 
 
 def _evaluation(config: ExportConfig) -> DictConfig:

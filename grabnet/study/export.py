@@ -90,7 +90,7 @@ def _key(
     rng = np.random.default_rng(list(secret))
     rated = {name: shown for name, shown in videos.items() if shown.condition != EXAMPLE}
     cells = rating_cells(rated) if config.kind == "rating" else paired_cells(rated, conditions, rng)
-    shown = {cell: config.catches_shown if CATCH in cell else config.shown for cell in cells}
+    shown = {cell: config.catches_shown if cell[-1] == CATCH else config.shown for cell in cells}
     lists = balanced_lists(cells, shown, config.lists, rng)
     public = json.dumps([config.kind, config.levels, asdict(config.text), sorted(videos), lists])
     facts = {"config": asdict(config), "provenance": provenance()}

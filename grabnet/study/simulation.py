@@ -50,7 +50,7 @@ class DesignConfig:
                 for k in range(self.catches if condition == CATCH else self.n):
                     videos[f"{len(videos):020x}"] = Shown(f"object{o + 1}", condition, k)
         cells = rating_cells(videos) if self.kind == "rating" else paired_cells(videos, conditions, rng)
-        shown = {cell: self.catches_shown if CATCH in cell else self.shown for cell in cells}
+        shown = {cell: self.catches_shown if cell[-1] == CATCH else self.shown for cell in cells}
         lists = balanced_lists(cells, shown, self.lists, rng)
         names = [str(k + 1) for k in range(levels)] if self.kind == "rating" else ["left", "right"]
         return StudyKey("0" * 16, self.kind, names, conditions, videos, lists, {"design": asdict(self)})
@@ -97,14 +97,15 @@ def run(config: SimulationConfig) -> int:
     key = config.design.key(config.model.levels, rng) if own else StudyKey.read(config.export)
     if key.kind == "rating" and len(key.levels) != config.model.levels:
         raise UserError(f"The study has {len(key.levels)} levels; model.thresholds must be one fewer.")
-    found = []
+    record, found = {"config": asdict(config), "provenance": provenance()}, []
+    write_json(output / _RECORD, record)  # first, so that answers of a stopped simulation are known for what they are
     for repeat in track(range(config.repeats), "Simulating studies"):
         answers, careless = simulated_answers(key, config.model, config.raters, config.careless, rng)
         found.append(_rehearse(key, answers, careless, config, repeat))
         if not repeat:
             _write_answers(output, key, answers, own)
-    summary = _summary(found, config, key)
-    write_json(output / _RECORD, summary | {"config": asdict(config), "provenance": provenance()})
+    summary = _summary(found, config)
+    write_json(output / _RECORD, summary | record)
     print(json.dumps(summary, indent=2))
     where = output if own else config.export
     more = "" if own else f" answers={output / ANSWERS}"
@@ -139,7 +140,7 @@ def _rehearse(
     return found
 
 
-def _summary(found: list[dict[str, Any]], config: SimulationConfig, key: StudyKey) -> dict[str, Any]:
+def _summary(found: list[dict[str, Any]], config: SimulationConfig) -> dict[str, Any]:
     total = {name: sum(f[name] for f in found) for name in ("dropped", "careless", "both")}
     summary: dict[str, Any] = {
         "studies": len(found),

@@ -32,6 +32,17 @@ def decoded(path) -> list[np.ndarray]:
         return [frame.to_ndarray(format="rgb24").astype(int) for frame in film.decode(video=0)]
 
 
+@pytest.mark.parametrize("name", ["Catch", "example"])
+def test_a_condition_that_is_named_as_a_part_of_every_study_is_refused(export_study, name, tmp_path):
+    """Its grasps would count as catch trials, or would never be rated."""
+    hands = tmp_path / name / "ring"
+    hands.mkdir(parents=True)
+    for k in range(2):
+        trimesh.creation.box((0.1, 0.1, 0.1)).export(hands / f"{k}.ply")
+    with pytest.raises(UserError, match=f"A condition is named '{name}', as a part of every study is"):
+        export_study(tmp_path / "out", f"grasps={tmp_path / name}", f"conditions=[Ground truth,{name}]")
+
+
 def test_films_show_hand_and_object_whole_and_all_the_way_round(rating_study):
     key = StudyKey.read(rating_study)
     assert Counter(shown.condition for shown in key.videos.values()) == {

@@ -140,6 +140,21 @@ def test_synthetic_answers_replace_no_others(tmp_path):
     assert (tmp_path / "study/private/key.json").read_bytes() == before
 
 
+def test_a_stopped_simulation_is_run_again(tmp_path, monkeypatch):
+    values = [f"output={tmp_path}", "raters=4", "design.objects=1", "design.n=2", "repeats=2", "fits=0", "draws=10"]
+    with monkeypatch.context() as patch:
+        patch.setattr(simulation, "_summary", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            simulation.run(made("simulate", *values))
+    assert list(tmp_path.rglob("answers.jsonl"))
+    assert simulation.run(made("simulate", *values)) == 0
+    assert json.loads((tmp_path / "simulation.json").read_text())["studies"] == 2
+
+
+def interrupt(*_):
+    raise KeyboardInterrupt
+
+
 def run(*arguments: str) -> subprocess.CompletedProcess:
     command = [sys.executable, str(ROOT / "scripts/study.py"), *arguments]
     return subprocess.run(command, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
