@@ -99,6 +99,10 @@ def test_captures_become_recordings_and_are_not_solved_twice(lab, tmp_path, acto
     assert path.stat().st_mtime_ns == before
     with pytest.raises(UserError, match=r"was started with stage_two.noise=0.0018, now it is 0.003"):
         run(config(*arguments(lab, tmp_path / "out", "stage_two.noise=0.003")))
+    placement = tmp_path / "out/mosh/s9.placement.yaml"
+    placement.write_text(placement.read_text().replace("LKNE:", "RKNE:", 1))
+    with pytest.raises(UserError, match=r"placement.yaml is not as it was when .*placement.npz was written"):
+        run(config(*arguments(lab, tmp_path / "out")))
 
 
 def test_a_report_says_how_many_labels_were_put_right(lab, tmp_path, actor):
