@@ -69,10 +69,6 @@ class Layout:
         """(M,) of the markers, as text."""
         return np.array([marker.type for marker in self.markers])
 
-    def only(self, types: Iterable[str]) -> Layout:
-        """The markers of these types."""
-        return Layout(self.name, self.n_vertices, tuple(m for m in self.markers if m.type in set(types)))
-
     def restricted(self, labels: Iterable[str], where: object) -> tuple[Layout, list[str]]:
         """The markers that a capture has, and sentences on those that either side lacks.
 
@@ -115,14 +111,14 @@ def nearest_label(label: str, known: Sequence[str]) -> str | None:
     return next((name for name in known if close and name.lower() == close[0]), None)
 
 
-def read_layout(path: str | Path, n_vertices: int | None = None, n_faces: np.ndarray | None = None) -> Layout:
+def read_layout(path: str | Path, n_vertices: int | None = None, faces: np.ndarray | None = None) -> Layout:
     """Read a body's layout.
 
     Args:
         path: `.yaml` file: name, vertices (their number in the model), and markers: label → type, and vertex or face
             with weights, and distance where it isn't the usual one.
         n_vertices: of the body model that it is for; any when omitted.
-        n_faces: (F, 3) the model's faces, for markers on faces.
+        faces: (F, 3) the model's faces, for markers on faces.
 
     Raises:
         UserError: no such file, no YAML, or not in this form; for another model; a place that it does not have.
@@ -138,7 +134,7 @@ def read_layout(path: str | Path, n_vertices: int | None = None, n_faces: np.nda
             f"{path} is for a body model of {total:,} vertices; this one has {n_vertices:,}: give a layout for it "
             "as layout=<file>."
         )
-    attached = tuple(_attached(path, str(label), place, total, n_faces) for label, place in markers.items())
+    attached = tuple(_attached(path, str(label), place, total, faces) for label, place in markers.items())
     return Layout(str(content.get("name", Path(path).stem)), total, attached)
 
 
@@ -230,10 +226,11 @@ class _Loader(yaml.SafeLoader):
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        names = [str(key) for key in keys]
         for key, (written, _) in zip(keys, node.value, strict=True):
             if isinstance(key, bool) or key is None:
                 raise yaml.YAMLError(f"'{written.value}' is not read as a name: put it in quotes")
-            if not isinstance(key, str | int | float) or keys.count(key) > 1:
+            if not isinstance(key, str | int | float) or names.count(str(key)) > 1:
                 raise yaml.YAMLError(f"'{written.value}' occurs twice, or is no name")
         return super().construct_mapping(node, deep)
 
@@ -257,7 +254,7 @@ def read_mapping(path: str | Path, what: str) -> dict[str, Any]:
 def _attached(path: object, label: str, place: Any, n_vertices: int, faces: np.ndarray | None) -> Attached:
     place = place if isinstance(place, dict) else {}
     type_ = place.get("type", "body")
-    if type_ not in DISTANCES:
+    if not isinstance(type_, str) or type_ not in DISTANCES:
         raise UserError(f"{path}: {label} is of type '{type_}'; it can be {', '.join(DISTANCES)}.")
     weights: list[float] = [1.0, 0.0, 0.0]
     if "vertex" in place:
@@ -277,10 +274,10 @@ def _attached(path: object, label: str, place: Any, n_vertices: int, faces: np.n
         0 <= v < n_vertices for v in corners
     ):
         raise UserError(f"{path}: {label} names a place that is not on a body of {n_vertices:,} vertices.")
-    if not (isinstance(weights, list) and len(weights) == 3 and all(isinstance(w, int | float) for w in weights)) or (
-        abs(sum(weights) - 1) > 1e-3
+    if not (isinstance(weights, list) and len(weights) == 3) or not (
+        all(isinstance(w, int | float) and 0 <= w <= 1 for w in weights) and abs(sum(weights) - 1) < 1e-3
     ):
-        raise UserError(f"{path}: the weights of {label} must be three numbers whose sum is 1.")
+        raise UserError(f"{path}: the weights of {label} must be three numbers from 0 to 1 whose sum is 1.")
     distance = place.get("distance", DISTANCES[type_])
     if not isinstance(distance, int | float) or not 0 <= distance < 0.1:
         raise UserError(f"{path}: the distance of {label} is {distance}; it must be metres, from 0 to 0.1.")
