@@ -19,6 +19,7 @@ from grabnet.io.files import existing, write_bytes
 DISTANCES = {"body": 0.0095, "face": 0.0, "finger": 0.0}
 # Fewer than this many body markers don't determine where the pelvis is and how it is turned.
 _FEWEST = 6
+_ROUNDED = 1e-3  # by which weights may miss their range and sum
 _DIGITS = 5  # of positions on objects, after the point
 
 
@@ -144,10 +145,10 @@ def write_layout(path: str | Path, layout: Layout, comments: Mapping[str, str] |
     for marker in layout.markers:
         place = f"vertex: {marker.vertices[0]}"
         if len(set(marker.vertices)) > 1:
-            weights = ", ".join(f"{w:.4g}" for w in marker.weights)
+            weights = ", ".join(map(_number, marker.weights))
             place = f"corners: [{', '.join(map(str, marker.vertices))}], weights: [{weights}]"
         if marker.distance != DISTANCES[marker.type]:
-            place += f", distance: {marker.distance:g}"
+            place += f", distance: {_number(marker.distance)}"
         comment = f" # {comments[marker.label]}" if comments and marker.label in comments else ""
         lines.append(f"  {_scalar(marker.label)}: {{type: {marker.type}, {place}}}{comment}")
     write_bytes(path, ("\n".join(lines) + "\n").encode())
@@ -216,6 +217,11 @@ def write_object_layouts(path: str | Path, layouts: Iterable[ObjectLayout]) -> N
     write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 
+def _number(value: float) -> str:
+    """A number without exponent, as YAML takes 1e-07 for text."""
+    return np.format_float_positional(value, precision=6, trim="-")
+
+
 def _scalar(text: str) -> str:
     """A text as YAML has it, in quotes where it needs them."""
     return yaml.safe_dump(text, allow_unicode=True, width=1000).splitlines()[0]
@@ -275,7 +281,8 @@ def _attached(path: object, label: str, place: Any, n_vertices: int, faces: np.n
     ):
         raise UserError(f"{path}: {label} names a place that is not on a body of {n_vertices:,} vertices.")
     if not (isinstance(weights, list) and len(weights) == 3) or not (
-        all(isinstance(w, int | float) and 0 <= w <= 1 for w in weights) and abs(sum(weights) - 1) < 1e-3
+        all(isinstance(w, int | float) and -_ROUNDED <= w <= 1 + _ROUNDED for w in weights)
+        and abs(sum(weights) - 1) <= _ROUNDED
     ):
         raise UserError(f"{path}: the weights of {label} must be three numbers from 0 to 1 whose sum is 1.")
     distance = place.get("distance", DISTANCES[type_])

@@ -102,6 +102,14 @@ def test_layouts_that_cannot_be(tmp_path, text, sentence):
         read_layout(tmp_path / "l.yaml")
 
 
+def test_small_numbers_come_back(tmp_path, actor):
+    """Those that would be written with an exponent, and weights beside 0 by rounding."""
+    first = replace(actor.layout.markers[0], vertices=(1, 2, 3), weights=(-2e-6, 0.400002, 0.6), distance=1e-5)
+    layout = replace(actor.layout, markers=(first, *actor.layout.markers[1:]))
+    write_layout(tmp_path / "l.yaml", layout)
+    assert read_layout(tmp_path / "l.yaml") == layout
+
+
 def test_a_layout_is_for_one_body_model(actor):
     with pytest.raises(UserError, match=r"a body model of 13,718 vertices; this one has 10,475"):
         read_layout(LAYOUTS / "open_body_grab99.yaml", 10475)
