@@ -7,6 +7,7 @@ from pathlib import Path
 
 from grabnet.errors import UserError
 from grabnet.io.files import existing
+from grabnet.io.names import originals
 from grabnet.mosh.c3d import c3d_frames, read_c3d
 from grabnet.mosh.markers import MarkerData
 from grabnet.mosh.tables import read_table
@@ -30,13 +31,15 @@ def read_capture(path: str | Path, unit: str | None = None, up: str = "z", rate:
 
 
 def find_captures(place: str | Path) -> list[Path]:
-    """The capture that a path is, or all those below a folder, sorted.
+    """The capture that a path is, or all those below a folder, sorted; without hidden files and copies.
 
     Raises:
         UserError: there is none.
     """
     place = existing(place, "Capture")
-    found = [place] if place.is_file() else sorted(p for p in place.rglob("*") if p.suffix.lower() in SUFFIXES)
+    if place.is_file():
+        return [place]
+    found = originals((p for p in place.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file()), place)
     if not found:
         raise UserError(f"{place} holds no captures: files that end in {', '.join(SUFFIXES)}.")
     return found

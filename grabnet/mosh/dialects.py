@@ -37,7 +37,6 @@ class Table:
         labels: one per marker, "" where it has none.
         columns: of the x of each marker; y and z follow.
         rows: of text, one a frame.
-        line: of the first row, counted from 1.
         width: of the header, in cells.
         rate: frames per second, if said.
         unit: as said.
@@ -48,7 +47,6 @@ class Table:
     labels: Sequence[str]
     columns: Sequence[int]
     rows: Rows
-    line: int
     width: int
     rate: float | None = None
     unit: str = ""
@@ -63,7 +61,8 @@ def understood(path: object, rows: Rows) -> Table | None:
     Raises:
         UserError: the header is cut off, or not as its dialect has it.
     """
-    first = rows[0][0] if rows and rows[0] else ""
+    rows = rows[next((i for i, row in enumerate(rows) if any(row)), len(rows)) :]
+    first = rows[0][0] if rows else ""
     if first == "Format Version":
         return _motive(path, rows)
     if (names := _row_that_starts(rows, "marker_names", 50)) is not None:
@@ -169,7 +168,7 @@ def _qualisys(path: object, rows: Rows, names: int) -> Table:
     return _table(
         rows, start, labels, range(first, first + width, 3), first + width,
         rate=_positive(facts.get("FREQUENCY")), unit="mm", announced=_whole(facts.get("NO_OF_FRAMES")),
-        frame=0 if first else None,
+        frame=0 if first else None, time=1 if first == 2 else None,
     )  # fmt: skip
 
 
@@ -204,7 +203,7 @@ def _table(
     body = rows[start:]
     if ends and (last := next((i for i, row in enumerate(body) if not any(row)), None)) is not None:
         body = body[:last]
-    return Table(labels, columns, [row for row in body if any(row)], start + 1, width, **facts)
+    return Table(labels, columns, [row for row in body if any(row)], width, **facts)
 
 
 def _column(names: Sequence[str], others: Sequence[str], word: str) -> int | None:

@@ -22,6 +22,7 @@ from grabnet.data.sequences import Sequence, load_below, read_sequence
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import load_mesh
 from grabnet.io.files import existing, write_json
+from grabnet.io.names import originals
 from grabnet.io.provenance import provenance
 from grabnet.mosh.attachment import Attachment, Pose
 from grabnet.mosh.choosing import choose_frames
@@ -274,9 +275,10 @@ def _recordings(config: EvaluationConfig) -> list[Path]:
     root = existing(config.root, "Folder of recordings (root)")
     found = []
     for subject in config.subjects:
-        paths = sorted((root / "grab" / subject).glob("*.npz"))[: config.sequences]
+        folder = root / "grab" / subject
+        paths = originals((path for path in folder.glob("*.npz") if path.is_file()), folder)[: config.sequences]
         if not paths:
-            raise UserError(f"{root / 'grab' / subject} holds no recordings: make some with grabnet build sequences.")
+            raise UserError(f"{folder} holds no recordings: make some with grabnet build sequences.")
         found += paths
     return found
 

@@ -19,7 +19,7 @@ class PlaceConfig:
     """What to place; the values of `configs/mosh/place.yaml`, which explains them.
 
     Raises:
-        UserError: another gender.
+        UserError: another gender; a file of another kind.
     """
 
     markers: str
@@ -30,6 +30,7 @@ class PlaceConfig:
 
     def __post_init__(self):
         one_of(self, gender=GENDERS)
+        _refuse_suffix(self.output, ".yaml", ".yml")
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class DrawConfig:
     """What to draw; the values of `configs/mosh/draw.yaml`, which explains them.
 
     Raises:
-        UserError: another gender.
+        UserError: another gender; a file of another kind.
     """
 
     layout: str
@@ -48,6 +49,7 @@ class DrawConfig:
 
     def __post_init__(self):
         one_of(self, gender=GENDERS)
+        _refuse_suffix(self.output, ".png")
 
 
 def place(config: PlaceConfig) -> int:
@@ -105,6 +107,14 @@ def read_places(markers: str) -> tuple[str, dict[str, dict[str, str]]]:
             if place in taken:
                 raise UserError(f"{path}: {taken[place]} and {label} are both at {place}.")
             taken[place] = label
+        content[type_] = {str(label): place for label, place in those.items()}
+    if not taken:
+        raise UserError(f"{path} has no markers: body, with label: place below it.")
     if len({label for those in content.values() for label in those}) < len(taken):
         raise UserError(f"{path} has a label in two types.")
     return path.stem, content
+
+
+def _refuse_suffix(output: str, *suffixes: str) -> None:
+    if Path(output).suffix.lower() not in suffixes:
+        raise UserError(f"output is '{output}'; its suffix must be {' or '.join(suffixes)}.")

@@ -19,6 +19,7 @@ from grabnet.io.files import existing, write_bytes
 DISTANCES = {"body": 0.0095, "face": 0.0, "finger": 0.0}
 # Fewer than this many body markers don't determine where the pelvis is and how it is turned.
 _FEWEST = 6
+_ROUNDED = 1e-3  # by which weights may miss their range and sum
 _DIGITS = 5  # of positions on objects, after the point
 
 
@@ -69,10 +70,6 @@ class Layout:
         """(M,) of the markers, as text."""
         return np.array([marker.type for marker in self.markers])
 
-    def only(self, types: Iterable[str]) -> Layout:
-        """The markers of these types."""
-        return Layout(self.name, self.n_vertices, tuple(m for m in self.markers if m.type in set(types)))
-
     def restricted(self, labels: Iterable[str], where: object) -> tuple[Layout, list[str]]:
         """The markers that a capture has, and sentences on those that either side lacks.
 
@@ -115,14 +112,14 @@ def nearest_label(label: str, known: Sequence[str]) -> str | None:
     return next((name for name in known if close and name.lower() == close[0]), None)
 
 
-def read_layout(path: str | Path, n_vertices: int | None = None, n_faces: np.ndarray | None = None) -> Layout:
+def read_layout(path: str | Path, n_vertices: int | None = None, faces: np.ndarray | None = None) -> Layout:
     """Read a body's layout.
 
     Args:
         path: `.yaml` file: name, vertices (their number in the model), and markers: label → type, and vertex or face
             with weights, and distance where it isn't the usual one.
         n_vertices: of the body model that it is for; any when omitted.
-        n_faces: (F, 3) the model's faces, for markers on faces.
+        faces: (F, 3) the model's faces, for markers on faces.
 
     Raises:
         UserError: no such file, no YAML, or not in this form; for another model; a place that it does not have.
@@ -138,7 +135,7 @@ def read_layout(path: str | Path, n_vertices: int | None = None, n_faces: np.nda
             f"{path} is for a body model of {total:,} vertices; this one has {n_vertices:,}: give a layout for it "
             "as layout=<file>."
         )
-    attached = tuple(_attached(path, str(label), place, total, n_faces) for label, place in markers.items())
+    attached = tuple(_attached(path, str(label), place, total, faces) for label, place in markers.items())
     return Layout(str(content.get("name", Path(path).stem)), total, attached)
 
 
@@ -148,10 +145,10 @@ def write_layout(path: str | Path, layout: Layout, comments: Mapping[str, str] |
     for marker in layout.markers:
         place = f"vertex: {marker.vertices[0]}"
         if len(set(marker.vertices)) > 1:
-            weights = ", ".join(f"{w:.4g}" for w in marker.weights)
+            weights = ", ".join(map(_number, marker.weights))
             place = f"corners: [{', '.join(map(str, marker.vertices))}], weights: [{weights}]"
         if marker.distance != DISTANCES[marker.type]:
-            place += f", distance: {marker.distance:g}"
+            place += f", distance: {_number(marker.distance)}"
         comment = f" # {comments[marker.label]}" if comments and marker.label in comments else ""
         lines.append(f"  {_scalar(marker.label)}: {{type: {marker.type}, {place}}}{comment}")
     write_bytes(path, ("\n".join(lines) + "\n").encode())
@@ -220,6 +217,11 @@ def write_object_layouts(path: str | Path, layouts: Iterable[ObjectLayout]) -> N
     write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 
+def _number(value: float) -> str:
+    """A number without exponent, as YAML takes 1e-07 for text."""
+    return np.format_float_positional(value, precision=6, trim="-")
+
+
 def _scalar(text: str) -> str:
     """A text as YAML has it, in quotes where it needs them."""
     return yaml.safe_dump(text, allow_unicode=True, width=1000).splitlines()[0]
@@ -230,10 +232,11 @@ class _Loader(yaml.SafeLoader):
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        names = [str(key) for key in keys]
         for key, (written, _) in zip(keys, node.value, strict=True):
             if isinstance(key, bool) or key is None:
                 raise yaml.YAMLError(f"'{written.value}' is not read as a name: put it in quotes")
-            if not isinstance(key, str | int | float) or keys.count(key) > 1:
+            if not isinstance(key, str | int | float) or names.count(str(key)) > 1:
                 raise yaml.YAMLError(f"'{written.value}' occurs twice, or is no name")
         return super().construct_mapping(node, deep)
 
@@ -257,7 +260,7 @@ def read_mapping(path: str | Path, what: str) -> dict[str, Any]:
 def _attached(path: object, label: str, place: Any, n_vertices: int, faces: np.ndarray | None) -> Attached:
     place = place if isinstance(place, dict) else {}
     type_ = place.get("type", "body")
-    if type_ not in DISTANCES:
+    if not isinstance(type_, str) or type_ not in DISTANCES:
         raise UserError(f"{path}: {label} is of type '{type_}'; it can be {', '.join(DISTANCES)}.")
     weights: list[float] = [1.0, 0.0, 0.0]
     if "vertex" in place:
@@ -277,10 +280,11 @@ def _attached(path: object, label: str, place: Any, n_vertices: int, faces: np.n
         0 <= v < n_vertices for v in corners
     ):
         raise UserError(f"{path}: {label} names a place that is not on a body of {n_vertices:,} vertices.")
-    if not (isinstance(weights, list) and len(weights) == 3 and all(isinstance(w, int | float) for w in weights)) or (
-        abs(sum(weights) - 1) > 1e-3
+    if not (isinstance(weights, list) and len(weights) == 3) or not (
+        all(isinstance(w, int | float) and -_ROUNDED <= w <= 1 + _ROUNDED for w in weights)
+        and abs(sum(weights) - 1) <= _ROUNDED
     ):
-        raise UserError(f"{path}: the weights of {label} must be three numbers whose sum is 1.")
+        raise UserError(f"{path}: the weights of {label} must be three numbers from 0 to 1 whose sum is 1.")
     distance = place.get("distance", DISTANCES[type_])
     if not isinstance(distance, int | float) or not 0 <= distance < 0.1:
         raise UserError(f"{path}: the distance of {label} is {distance}; it must be metres, from 0 to 0.1.")

@@ -12,8 +12,9 @@ The folder `out` gets
 
 from __future__ import annotations
 
+import contextlib
+import shlex
 import time
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -30,17 +31,20 @@ from grabnet.io.locks import alone_in
 from grabnet.io.names import originals
 from grabnet.io.provenance import provenance
 from grabnet.io.recipes import claim
+from grabnet.io.shipped import shipped
 from grabnet.io.state import Finite, read_json
 from grabnet.mosh.cameras import Rig
 from grabnet.mosh.capture_making import CaptureMaking, capture_path
 from grabnet.mosh.layouts import read_layout, spread_markers, write_object_layouts
-from grabnet.mosh.subjects import Subject
+from grabnet.mosh.subjects import GENDERS, Subject
 from grabnet.mosh.synthesis import Flaws
 from grabnet.preprocess.backends import by_joblib, machine_cores
 
 # Raise it when the same recording and settings would give another capture.
 FORMAT = 1
+_LAYOUT = shipped("configs") / "mosh/layouts/open_body_grab99.yaml"  # that captures are solved with by default
 _FACTS = {
+    "recording_sha256": str,
     "object": str,
     "frames": Finite(1),
     "missing": Finite(0),
@@ -95,7 +99,7 @@ def run(config: SynthesisConfig) -> int:
         claim(out / "recipe.json", _recipe(config), f"delete {out}, or choose another out=")
         clear_litter(out, "*/*/*.*", "tools/*/*/*.*")
         work = CaptureMaking(root, out, layout, config.models, config.face, config.flaws, rig, config.seed)
-        left = [name for name in names if not capture_path(out, name).exists()]
+        left = [name for name in names if not _is_made(root, out, name)]
         outcomes = []
         with steps("Making captures", len(names), len(names) - len(left)) as counted:
             workers = min(config.workers, machine_cores(), max(1, len(left)))
@@ -104,7 +108,7 @@ def run(config: SynthesisConfig) -> int:
                 counted.advance(about=outcome.name)
         failed = {outcome.name: outcome.failure for outcome in outcomes if outcome.failure}
         made = {name: _facts(out, name) for name in names if name not in failed}
-        _write_objects(out, {fact["object"] for fact in made.values()})
+        _write_objects(out)
         _summarise(config, made, time.monotonic() - began)
     for name, failure in sorted(failed.items()):
         say(f"{name}: {failure}")
@@ -127,6 +131,7 @@ def _recipe(config: SynthesisConfig) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "layout_sha256": sha256(existing(config.layout, "Layout")),
+        "body_sha256": _bodies(config.models),
         "seed": config.seed,
         "face": config.face,
         "flaws": asdict(config.flaws),
@@ -134,11 +139,31 @@ def _recipe(config: SynthesisConfig) -> dict[str, Any]:
     }
 
 
+def _bodies(models: str | None) -> dict[str, str]:
+    """Hashes of the body models that recordings can have, by gender."""
+    found = {}
+    for gender in GENDERS if models is not None else ("neutral",):
+        with contextlib.suppress(UserError):  # no model of that gender: its recordings fail
+            found[gender] = sha256(Subject("", gender, None, models).files()["body"])
+    return found
+
+
+def _is_made(root: Path, out: Path, name: str) -> bool:
+    """Whether there is a capture of the recording as it is now."""
+    if not capture_path(out, name).exists():
+        return False
+    return _facts(out, name)["recording_sha256"] == sha256(root / "grab" / f"{name}.npz")
+
+
 def _facts(out: Path, name: str) -> dict[str, Any]:
     return read_json(out / "truth" / f"{name}.json", _FACTS, "delete it and its capture, which is made again then")
 
 
-def _write_objects(out: Path, names: Iterable[str]) -> None:
+def _write_objects(out: Path) -> None:
+    """Write the markers of all objects captured, in this run or an earlier one."""
+    truth = out / "truth"
+    facts = (_facts(out, f"{path.parent.name}/{path.stem}") for path in originals(truth.glob("*/*.json"), truth))
+    names = {one["object"] for one in facts}
     meshes = {name: load_mesh(out / OBJECT_MESHES / f"{name}.ply", weld=False, mend=False) for name in sorted(names)}
     write_object_layouts(out / "objects.yaml", [spread_markers(name, mesh) for name, mesh in meshes.items()])
 
@@ -155,8 +180,12 @@ def _summarise(config: SynthesisConfig, made: dict[str, dict[str, Any]], seconds
     print(f"Made {frames:,} frames at {frames / cpu:.0f} frames per second of one core. To solve them:")
     for person in dict.fromkeys(name.partition("/")[0] for name in made):
         template = next((out / "tools/subject_meshes").glob(f"*/{person}.ply"), None)
-        shape = "" if template is None else f"gender={template.parent.name} subject={template} "
-        print(
-            f"  grabnet mosh capture={out / 'captures' / person} name={person} {shape}"
-            f"objects={out / 'objects.yaml'} meshes={out / OBJECT_MESHES} out=solved"
-        )
+        values = {"capture": out / "captures" / person, "name": person}
+        if template is not None:
+            values |= {"gender": template.parent.name, "subject": template}
+        if Path(config.layout) != _LAYOUT:
+            values["layout"] = config.layout
+        if config.models is not None:
+            values["models"] = config.models
+        values |= {"objects": out / "objects.yaml", "meshes": out / OBJECT_MESHES, "out": "solved"}
+        print("  grabnet mosh", shlex.join(f"{key}={value}" for key, value in values.items()))

@@ -13,6 +13,9 @@ from grabnet.io.files import existing
 from grabnet.mosh.dialects import Rows, Table, number, understood
 from grabnet.mosh.markers import MarkerData, markers_of
 
+# Share by which a table's rate and that of its times may differ: times are rounded.
+_RATE_TOLERANCE = 0.05
+
 
 def read_table(path: str | Path, unit: str | None = None, up: str = "z", rate: float | None = None) -> MarkerData:
     """Markers of a table, in metres; empty cells, and those that say that nothing is there, are missing markers.
@@ -22,19 +25,21 @@ def read_table(path: str | Path, unit: str | None = None, up: str = "z", rate: f
     Args:
         path: `.trc`, `.tsv` or `.csv` file.
         unit, rate: replace the file's; tables that don't say their rate need one, unless they have a column Time.
+            With a rate, the column Time does not count.
         up: the file's vertical axis.
 
     Raises:
         UserError: no text, or of no dialect that is known; no rate; cut off; rows longer than the header; frames left
-            out; a cell that is no number; as `markers_of`.
+            out; a rate that is not that of the column Time; a cell that is no number; as `markers_of`.
     """
     path = existing(path, "Capture")
     text = _text(path)
     table = _table(path, text)
     _refuse_cut_off(path, table, text)
     positions = _positions(path, table)
-    _refuse_gaps(path, table)
-    rate = rate or table.rate or _rate(table)
+    times = _times(table) if rate is None else None
+    _refuse_gaps(path, table, times, rate)
+    rate = rate or table.rate or (None if times is None else _rate(times))
     if not rate:
         raise UserError(f"{path} does not say how many frames it has per second: give reading.rate=120, or what it is.")
     return markers_of(path, table.labels, positions, rate, table.unit, unit, up=up)
@@ -105,10 +110,29 @@ def _refuse_cut_off(path: Path, table: Table, text: str) -> None:
         raise UserError(f"{path} is cut off within its last frame: copy it again.")
 
 
-def _refuse_gaps(path: Path, table: Table) -> None:
-    """Frames that the table leaves out would make what follows them too early."""
-    if table.frame is None or len(table.rows) < 3:
+def _refuse_gaps(path: Path, table: Table, times: np.ndarray | None, rate: float | None) -> None:
+    """Frames that the table leaves out would make what follows them too early; `times` and given `rate`, if any."""
+    if table.frame is not None and len(table.rows) > 2:
+        _refuse_gaps_of_numbers(path, table, known=times is not None or rate is not None)
+    if times is None:
         return
+    steps = np.diff(times)
+    usual = np.median(steps)
+    if (odd := (steps <= 0) | (abs(steps - usual) > (0.5 + 1e-6) * usual)).any():
+        i = int(odd.argmax())
+        raise UserError(
+            f"{path}: frame {i + 1} of the table is at {times[i]:g} s and the next one at {times[i + 1]:g} s, where "
+            f"{usual:.4g} s is usual: export all frames, or give reading.rate= if they are all there."
+        )
+    if table.rate and abs(table.rate / _rate(times) - 1) > _RATE_TOLERANCE:
+        raise UserError(
+            f"{path} says that it has {table.rate:g} frames per second, and has {_rate(times):.4g} by its column Time: "
+            "give the right one as reading.rate=, or export all frames."
+        )
+
+
+def _refuse_gaps_of_numbers(path: Path, table: Table, known: bool) -> None:
+    """The same by the frames' numbers; `known` where what they count by does not decide the rate."""
     try:
         numbers = np.array([number(row[table.frame]) for row in table.rows])
     except (ValueError, IndexError):
@@ -120,14 +144,24 @@ def _refuse_gaps(path: Path, table: Table) -> None:
         raise UserError(
             f"{path}: frame {numbers[odd]:g} is followed by frame {numbers[odd + 1]:g}: export all frames, in order."
         )
+    if usual != 1 and not known:
+        raise UserError(
+            f"{path}: its frames count by {usual:g}, and it has no column Time: give the rate of those that are there "
+            "as reading.rate=, or export all frames."
+        )
 
 
-def _rate(table: Table) -> float | None:
-    """Frames per second by the column Time, in seconds."""
+def _times(table: Table) -> np.ndarray | None:
+    """(T,) the column Time, in seconds; None without one, or where a frame has none."""
     if table.time is None or len(table.rows) < 2:
         return None
     try:
-        first, last = (number(table.rows[i][table.time]) for i in (0, -1))
+        times = np.array([number(row[table.time]) for row in table.rows])
     except (ValueError, IndexError):
         return None
-    return (len(table.rows) - 1) / (last - first) if last > first else None
+    return times if np.isfinite(times).all() else None
+
+
+def _rate(times: np.ndarray) -> float:
+    """Frames per second by times that grow."""
+    return float((len(times) - 1) / (times[-1] - times[0]))

@@ -206,6 +206,9 @@ def test_captures_of_a_folder(tmp_path):
         find_captures(tmp_path)
     for name in ("b.c3d", "a.trc", "notes.txt"):
         (tmp_path / name).write_text("")
+    for name in ("._b.c3d", ".a-12345678.trc", "b (1).c3d"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "a.csv").mkdir()
     assert [path.name for path in find_captures(tmp_path)] == ["a.trc", "b.c3d"]
 
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,16 +14,19 @@ import pytest
 import torch
 from hydra.utils import instantiate
 
+from grabnet.body.whole import OPEN_BODY
 from grabnet.cli.entry import compose
-from grabnet.data.sequences import load_below, read_sequence
+from grabnet.data.sequences import load_below, read_sequence, write_sequence
 from grabnet.errors import UserError
+from grabnet.geometry.mesh import Mesh, save_mesh
+from grabnet.io.files import sha256
 from grabnet.mosh.captures import read_capture
 from grabnet.mosh.judging import run as judge
 from grabnet.mosh.layouts import read_object_layouts
 from grabnet.mosh.run import run as solve
 from grabnet.mosh.synthesising import run as synthesise
 from grabnet.preprocess.run import preprocess
-from tests.mosh.conftest import Actor
+from tests.mosh.conftest import LAYOUTS, Actor
 from tests.mosh.recorded import RATE, record
 
 FRAMES = 12
@@ -177,3 +183,80 @@ def test_what_cannot_be_compared_is_refused(captured, tmp_path, capsys):
     values = [f"truth={captured}", f"solved={captured}", f"contact={tmp_path}", f"output={tmp_path / 'a.json'}"]
     assert judge(configured("mosh/judge", *values)) == 1
     assert "error: s8/ball_lift_1: Contact found" in capsys.readouterr().err
+
+
+@pytest.fixture
+def few(captured, tmp_path) -> Path:
+    """A folder of the truth with one recording, and the same as if solved beside it, in `solved`."""
+    for folder in ("truth", "solved"):
+        shutil.copytree(captured / "tools", tmp_path / folder / "tools")
+        shutil.copytree(captured / "grab/s9", tmp_path / folder / "grab/s9")
+    return tmp_path
+
+
+def judged(few: Path, *values: str) -> int:
+    both = [f"truth={few / 'truth'}", f"solved={few / 'solved'}", f"output={few / 'judged.json'}", "quiet=true"]
+    return judge(configured("mosh/judge", *both, *values))
+
+
+def resaved(path: Path, **values) -> None:
+    write_sequence(path, replace(read_sequence(path), **values))
+
+
+def test_recordings_that_are_not_solved_and_objects_that_are_not_followed_are_said(few, capsys):
+    assert judged(few) == 0 and "not followed" not in capsys.readouterr().out
+    shutil.copytree(few / "truth/grab/s9", few / "truth/grab/s8")
+    resaved(few / "solved/grab/s9/ring_pass_1.npz", obj_name="none")
+    assert judged(few) == 1
+    said = capsys.readouterr()
+    assert "1 of 2 are not solved: s8/ring_pass_1" in said.err
+    assert "In 1 of 1 the object is not followed: s9/ring_pass_1" in said.out
+    assert json.loads((few / "judged.json").read_text())["not_solved"] == ["s8/ring_pass_1"]
+
+
+def test_bodies_that_cannot_be_compared_are_named(few, capsys):
+    save_mesh(few / "solved/tools/subject_meshes/male/s9.ply", Mesh(np.eye(3), np.array([[0, 1, 2]])))
+    assert judged(few) == 1
+    assert "solved/tools/subject_meshes/male/s9.ply has 3 vertices, the body model 13,718" in capsys.readouterr().err
+    resaved(few / "solved/grab/s9/ring_pass_1.npz", gender="female")
+    assert judged(few, f"models={few}") == 1
+    assert f"is male in {few / 'truth'} and female in {few / 'solved'}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("stored", "sentence"),
+    [
+        ({"latent": np.zeros((1, 3)), "labels": ["ODD"]}, "places ODD, which .* lacks: they are of two layouts"),
+        ({"latent": np.zeros((1, 3))}, "has no labels, as of an older version: solve the captures again"),
+    ],
+)
+def test_placements_of_other_layouts_and_versions_are_refused(captured, few, capsys, stored, sentence):
+    shutil.copytree(captured / "truth", few / "truth/truth")
+    (few / "solved/mosh").mkdir()
+    np.savez(few / "solved/mosh/s9.placement.npz", **stored)
+    assert judged(few) == 1
+    assert re.search(sentence, capsys.readouterr().err)
+
+
+def test_what_is_made_of_another_recording_or_in_an_earlier_run(recorded, tmp_path, capsys):
+    """Captures follow their recordings; objects of earlier runs stay; the printed command can be typed."""
+    root, out, layout = tmp_path / "the root", tmp_path / "the out", tmp_path / "own.yaml"
+    shutil.copytree(recorded, root)
+    shutil.copyfile(LAYOUTS / "open_body_plug_in_gait.yaml", layout)
+    ball, ring = NAMES[0], NAMES[2]
+
+    def make(name: str) -> bytes:
+        assert not synthesise(captures(root, out, f"recordings=[{name}]", "occlusion=false", f"layout={layout}"))
+        return (out / "captures" / f"{name}.c3d").read_bytes()
+
+    first = make(ball)
+    line = capsys.readouterr().out.splitlines()[-1]
+    assert f"capture={out}/captures/s8" in shlex.split(line) and f"layout={layout}" in shlex.split(line)
+    make(ring)
+    assert set(read_object_layouts(out / "objects.yaml")) == {"ball", "ring"}
+    path = root / f"grab/{ball}.npz"
+    sequence = read_sequence(path)
+    resaved(path, object=replace(sequence.object, transl=sequence.object.transl + np.float32(0.1)))
+    assert make(ball) != first
+    recipe = json.loads((out / "recipe.json").read_text())
+    assert recipe["body_sha256"] == {"neutral": sha256(OPEN_BODY / "SMPLX_NEUTRAL.npz")}

@@ -82,6 +82,10 @@ def test_a_label_that_the_layout_lacks_is_named_with_its_nearest(actor):
         ("name: x\nvertices: 10\nmarkers: {A: {vertex: true.5}}", "not on a body"),
         ("name: x\nvertices: 10\nmarkers: {A: {}}", "needs a vertex, or a face"),
         ("name: x\nvertices: 10\nmarkers: {A: {corners: [1, 2, 3], weights: [1, 1, 1]}}", "whose sum is 1"),
+        ("name: x\nvertices: 10\nmarkers: {A: {corners: [1, 2, 3], weights: [.nan, 0, 1]}}", "from 0 to 1"),
+        ("name: x\nvertices: 10\nmarkers: {A: {corners: [1, 2, 3], weights: [5, -4, 0]}}", "from 0 to 1"),
+        ("name: x\nvertices: 10\nmarkers: {A: {type: [body], vertex: 1}}", r"of type '\['body'\]'"),
+        ("name: x\nvertices: 10\nmarkers: {1: {vertex: 1}, '1': {vertex: 2}}", "'1' occurs twice"),
         ("name: x\nvertices: 10\nmarkers: {A: {vertex: 1, distance: 9.5}}", "must be metres"),
         ("name: x\nmarkers: {A: {vertex: 1}}", "lacks the number of vertices"),
         ("name: x\nvertices: 10", "has no markers"),
@@ -96,6 +100,14 @@ def test_layouts_that_cannot_be(tmp_path, text, sentence):
     (tmp_path / "l.yaml").write_text(text)
     with pytest.raises(UserError, match=sentence):
         read_layout(tmp_path / "l.yaml")
+
+
+def test_small_numbers_come_back(tmp_path, actor):
+    """Those that would be written with an exponent, and weights beside 0 by rounding."""
+    first = replace(actor.layout.markers[0], vertices=(1, 2, 3), weights=(-2e-6, 0.400002, 0.6), distance=1e-5)
+    layout = replace(actor.layout, markers=(first, *actor.layout.markers[1:]))
+    write_layout(tmp_path / "l.yaml", layout)
+    assert read_layout(tmp_path / "l.yaml") == layout
 
 
 def test_a_layout_is_for_one_body_model(actor):
@@ -194,6 +206,9 @@ def test_a_capture_is_solved_with_a_model_and_a_layout_of_ones_own(turned, actor
         ("body: {A: left_kneee}", "no place 'left_kneee'; its nearest is"),
         ("body: {A: 7}", "the place of A is 7; it must be a name"),
         ("leg: {A: chin}", "'leg' must be body, face, finger, with label: place below it"),
+        ("body: {}", "has no markers"),
+        ("{}", "has no markers"),
+        ("body: {1: chin, '1': nose_tip}", "'1' occurs twice"),
         ("body: chin", "'body' must be body, face, finger"),
         ("body: {A: chin, B: chin}", "A and B are both at chin"),
         ("body: {A: chin}\nface: {A: nose_tip}", "has a label in two types"),
@@ -218,6 +233,20 @@ def test_the_examples_of_the_document_are_as_files_are(actor, tmp_path):
     assert found["LIND3"].weights == (0.2, 0.3, 0.5) and found["LIND3"].distance == 0.001
     (tmp_path / "p.yaml").write_text(places)
     assert read_places(str(tmp_path / "p.yaml"))[1]["face"] == {"NOSE": "nose_tip"}
+
+
+def test_labels_that_are_numbers_are_names(tmp_path):
+    (tmp_path / "p.yaml").write_text("body: {1: left_knee_outer}")
+    assert read_places(str(tmp_path / "p.yaml"))[1] == {"body": {"1": "left_knee_outer"}}
+
+
+@pytest.mark.parametrize("output", ["x.png", "x", "x.html"])
+def test_files_of_another_kind_are_not_written(output):
+    with pytest.raises(UserError, match=f"output is '{output}'; its suffix must be .yaml or .yml"):
+        PlaceConfig("grab99", "neutral", None, None, output)
+    other = output.replace("png", "yaml")
+    with pytest.raises(UserError, match=f"output is '{other}'; its suffix must be .png"):
+        DrawConfig("l.yaml", "neutral", None, None, other)
 
 
 def test_sets_that_do_not_ship_are_refused_by_name():

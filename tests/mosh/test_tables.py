@@ -244,3 +244,60 @@ def test_what_is_no_text(tmp_path, data):
     (tmp_path / "x.csv").write_bytes(data)
     with pytest.raises(UserError, match="is no text"):
         read_table(tmp_path / "x.csv")
+
+
+def timed(make, times: list[float], step: int = 1) -> str:
+    """A table with these times, whose frames count by `step`."""
+    rows, start = make(), -5
+    if make is trc:
+        rows[2] = ["120.00", "120.00", str(len(times)), "3", "mm", "120"]
+    body = [[str(step * t), f"{time:.6f}", *rows[start][2:]] for t, time in enumerate(times)]
+    return text([*rows[:start], *body], "\t")
+
+
+EVEN = [t / 120 for t in range(6)]
+
+
+@pytest.mark.parametrize("make", [trc, two_rows, plain, motive, lambda: qualisys(first=2)])
+@pytest.mark.parametrize(
+    ("times", "step", "sentence"),
+    [
+        ([*EVEN[:3], *(time + 1 for time in EVEN[3:])], 1, "frame 3 of the table is at .* s and the next one at .* s"),
+        ([*EVEN[:4], EVEN[5]], 1, "frame 4 of the table"),
+        ([*EVEN[:3], *EVEN[2:]], 1, "frame 3 of the table"),
+        ([*EVEN[:5], 0.0], 1, "frame 5 of the table"),
+        ([2 * time for time in EVEN], 2, "says that it has 120 frames per second, and has 60 by its column Time"),
+        ([2 * time for time in EVEN], 1, "says that it has 120 frames per second, and has 60 by its column Time"),
+    ],
+)
+def test_times_that_leave_frames_out_or_contradict_the_rate(tmp_path, make, times, step, sentence):
+    (tmp_path / "x.csv").write_text(timed(make, times, step))
+    if make in (two_rows, plain) and sentence.startswith("says"):  # no other rate is said
+        assert read_table(tmp_path / "x.csv").rate == pytest.approx(60, rel=1e-3)
+    else:
+        with pytest.raises(UserError, match=sentence):
+            read_table(tmp_path / "x.csv")
+    assert read_table(tmp_path / "x.csv", rate=90).rate == 90, "what is given counts"
+
+
+def test_rounded_times_and_numbers_that_count_by_two_are_right(tmp_path):
+    (tmp_path / "x.trc").write_text(timed(trc, [round(time, 3) for time in EVEN], 2))
+    assert read_table(tmp_path / "x.trc").rate == RATE
+    rows = [*vicon()[:5], *([str(2 * t), *row[1:]] for t, row in enumerate(vicon()[5:]))]
+    (tmp_path / "x.csv").write_text(text(rows))
+    with pytest.raises(UserError, match="its frames count by 2, and it has no column Time"):
+        read_table(tmp_path / "x.csv")
+    assert read_table(tmp_path / "x.csv", rate=60).rate == 60
+
+
+@pytest.mark.parametrize("name", DIALECTS)
+def test_empty_lines_before_the_header(tmp_path, name):
+    make, delimiter = DIALECTS[name]
+    (tmp_path / name).write_text("\n" + 3 * delimiter + "\n" + text(make(), delimiter))
+    check(tmp_path / name)
+
+
+def test_times_that_stand_still(tmp_path):
+    (tmp_path / "x.trc").write_text(timed(trc, [0.0] * 6))
+    with pytest.raises(UserError, match="frame 1 of the table is at 0 s and the next one at 0 s"):
+        read_table(tmp_path / "x.trc")
