@@ -92,6 +92,21 @@ class TestHostile:
         assert "is counted again" in capsys.readouterr().out
         assert (failures, analysed.rows(Content)[0]["sequences"]) == ([], 1)
 
+    def test_bodies_that_depths_follow_from_are_inputs(self, grab, mixed, tmp_path, capsys):
+        """With stored labels, too: a template that changes is counted again, another body model is refused."""
+        self.counted(grab, mixed, [Content])
+        vtemp = mixed / read_sequence(mixed / f"grab/{SEQUENCES[1]}.npz").body.vtemp
+        solid = trimesh.load(vtemp, process=False)
+        vtemp.write_bytes(trimesh.Trimesh(1.01 * solid.vertices, solid.faces, process=False).export(file_type="ply"))
+        assert self.counted(grab, mixed, [Content])[1] == []
+        assert f"{vtemp} has changed" in capsys.readouterr().out
+        data = replace(data_of(grab, tmp_path).data, root=str(mixed))
+        assert {"SMPLX_FEMALE.npz", "SMPLX_MALE.npz"} < data.recipe()["models"].keys()
+        _ = data.surface  # of the template as it was
+        vtemp.write_bytes(trimesh.Trimesh(solid.vertices[:99], [[0, 1, 2]], process=False).export(file_type="ply"))
+        with pytest.raises(UserError, match=r"\.ply has 99 vertices, the body 1556"):
+            data.frames(SEQUENCES[1])
+
     def test_results_of_others_stay(self, grab, tmp_path, monkeypatch, capsys):
         (tmp_path / "figures").mkdir()
         (tmp_path / "figures/mine.png").write_bytes(b"mine")
