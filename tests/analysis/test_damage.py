@@ -45,7 +45,7 @@ class TestHostile:
     def counted(self, grab, root: Path, kinds=STATISTICS):
         config = data_of(grab, root)
         work = Accumulation(replace(config.data, root=str(root)), kinds, config.rules, root.parent / "counted")
-        statistics, failures = accumulate(work, work.data.names(), 1, 3)
+        statistics, failures, _ = accumulate(work, work.data.names(), 1, 3)
         return Analysed(work.data, statistics), [outcome.failure for outcome in failures]
 
     def test_recordings_that_cannot_be_counted_are_named_and_the_others_counted(self, grab, mixed, capsys):
@@ -172,7 +172,7 @@ class TestMarkers:
         vertices = trimesh.load(grab[0] / "tools/object_meshes/contact_meshes/ball.ply", process=False).vertices
         for markers in ({}, {"ball": vertices[::25]}):
             work = Accumulation(config.data, [Clusters], config.rules, tmp_path / "counted")
-            statistics, _ = accumulate(work, SEQUENCES[1:2], 1, 3)
+            statistics, _, _ = accumulate(work, SEQUENCES[1:2], 1, 3)
             statistics["clusters"].markers = markers
             found.append(Analysed(config.data, statistics))
         return found
