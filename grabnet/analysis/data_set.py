@@ -85,8 +85,12 @@ class DataSet(ABC):
     def hand(self) -> HandModel:
         """The right hand's model."""
 
-    def object_markers(self) -> Mapping[str, np.ndarray]:
-        """(M, 3) metres in the object's frame, of each object whose markers are known."""
+    def object_markers(self, field: str) -> Mapping[str, np.ndarray]:
+        """(M, 3) metres in the object's frame, of each object whose markers are known.
+
+        Args:
+            field: of the config, that names them, for errors.
+        """
         return {}
 
     def object_mesh(self, name: str) -> Mesh:
@@ -162,8 +166,8 @@ class Recordings(GrabRecordings, DataSet):
         right = cKDTree(model.v_template.numpy()).query((hand.v_template + shift).numpy())[1]
         return Surface(vertices.numpy(), model.faces.numpy(), vertex_parts(model.weights.numpy()), right)
 
-    def object_markers(self) -> Mapping[str, np.ndarray]:
-        return {} if self.markers is None else read_markers(self.markers, self.objects())
+    def object_markers(self, field: str) -> Mapping[str, np.ndarray]:
+        return {} if self.markers is None else read_markers(self.markers, self.objects(), field)
 
     def _posed_body(self, sequence: Sequence, template: np.ndarray, parts: Collection[int]) -> Posed:
         """Those vertices of the whole body, of a subject's template (V, 3), that belong to some parts."""

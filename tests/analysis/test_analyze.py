@@ -274,6 +274,10 @@ def test_a_browser_shows_the_page_and_turns_the_meshes(report, tmp_path):
         browser.evaluate("document.getElementById('mesh').onchange()")
         second = browser.evaluate(inked)
         assert min(first, second) > 2000 and first != second
+        late = "(async () => { const mesh = document.getElementById('mesh'); mesh.selectedIndex = 0; "
+        late += "const shown = mesh.onchange(); mesh.selectedIndex = mesh.length - 1; await shown; })()"
+        browser.evaluate(late)
+        assert browser.evaluate(inked) == second  # what was read too late is not shown
         browser.evaluate("document.getElementById('mesh').value = 'ball'")
         browser.evaluate("document.getElementById('mesh').onchange()")
         names = browser.evaluate("[...document.getElementById('heat').options].map(o => o.value)")

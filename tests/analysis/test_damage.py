@@ -124,13 +124,13 @@ class TestMarkers:
         vertices = trimesh.load(objects["ball"], process=False).vertices
         np.save(tmp_path / "ball.npy", np.array([5, 7]))
         np.save(tmp_path / "mug.npy", vertices[:3])
-        found = read_markers(str(tmp_path), objects)
+        found = read_markers(str(tmp_path), objects, "data.markers")
         np.testing.assert_allclose(found["ball"], vertices[[5, 7]], atol=1e-6)
         np.testing.assert_allclose(found["mug"], vertices[:3])
         lines = [f"  m{k}: [{', '.join(f'{x:.5f}' for x in vertices[k])}]" for k in (0, 100, 200)]
         (tmp_path / "layout.yaml").write_text("\n".join(["ball:", *lines]))
         np.testing.assert_allclose(
-            read_markers(f"{tmp_path}/layout.yaml", objects)["ball"][1], vertices[100], atol=1e-5
+            read_markers(f"{tmp_path}/layout.yaml", objects, "data.markers")["ball"][1], vertices[100], atol=1e-5
         )
 
     @pytest.mark.parametrize(
@@ -145,7 +145,17 @@ class TestMarkers:
     def test_others_are_refused(self, grab, tmp_path, array, said):
         np.save(tmp_path / "ball.npy", array)
         with pytest.raises(UserError, match=said):
-            read_markers(str(tmp_path), object_files(grab[0] / "tools/object_meshes/contact_meshes"))
+            read_markers(str(tmp_path), object_files(grab[0] / "tools/object_meshes/contact_meshes"), "data.markers")
+
+    @pytest.mark.parametrize("field", ["data.markers", "compare.markers"])
+    def test_markers_of_other_objects_are_refused_by_the_name_of_their_field(
+        self, grab, tmp_path, monkeypatch, capsys, field
+    ):
+        np.save(tmp_path / "other.npy", np.zeros((3, 3)))
+        more = ["compare=open", f"compare.root={grab[0]}", f"compare.models={grab[1]}", "compare.markers=null"]
+        with pytest.raises(SystemExit):
+            command(monkeypatch, "analyze", values(grab, tmp_path / "out", *more, f"{field}={tmp_path}"))
+        assert f"give {field} another path, or {field}=null." in capsys.readouterr().err
 
     def test_the_open_layout_is_of_the_open_objects(self):
         """What the open data's config names: markers on the surfaces of the open objects."""

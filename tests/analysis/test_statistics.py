@@ -300,3 +300,19 @@ def test_differences_are_shown_on_the_mesh_that_they_are_of(same_faces):
         assert {len(v) for v in (*heats.shares.values(), *heats.changes.values())} == {len(heats.vertices)}
     use, other = (np.mean([f.object[t] > 0 for f, t in contact([fewer(s)])], 0) for s in sets)
     np.testing.assert_allclose(found["cubesmall of b"].changes["b, use − pass"], use - other)
+
+
+def test_all_generated_grasps_are_posed():
+    """They have no lift, and no order that every n-th could be of."""
+    grasps = replace(SEQUENCES[0], lift=np.full(len(SEQUENCES[0]), np.inf))
+    there = [t for t in range(len(grasps)) if is_contact(grasps, t) and has(grasps, t, SURFACES["hands"])]
+    found = row(counted(Penetration, [grasps]).result(ALL), intent="use", surface="hands", **{"of a frame": "max"})
+    assert found["posed frames"] == len(there) > 20
+
+
+def test_the_curve_over_c_is_at_the_lift_of_contact_frames():
+    thresholds = Thresholds(replace(RULES, min_lift=0.02))
+    for frames in SEQUENCES:
+        thresholds.add(frames)
+    figure = Thresholds.draw([Analysed(SimpleNamespace(label="a"), {Thresholds.name: thresholds})])
+    assert "(H = 20)" in figure.axes[1].get_xlabel()
