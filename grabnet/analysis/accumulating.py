@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,9 @@ from grabnet.analysis.data_set import DataSet
 from grabnet.analysis.frames import ALL, Group, Subset
 from grabnet.analysis.rules import Rules
 from grabnet.analysis.statistic import Statistic
+from grabnet.cli.ends import note
 from grabnet.cli.progress import steps
-from grabnet.errors import UserError, printable
+from grabnet.errors import UserError
 from grabnet.io.files import sha256, write_bytes
 from grabnet.io.litter import clear_litter
 from grabnet.io.npz import read_npz
@@ -31,7 +32,7 @@ from grabnet.preprocess.backends import Outcome, by_dask, by_joblib
 from grabnet.preprocess.sequence_work import outcome_of
 
 # Raise it when the same sequence and rules would give other numbers.
-FORMAT = 2
+FORMAT = 3
 _ABOUT = {"group": [str], "inputs": {str: str}}
 
 
@@ -83,7 +84,7 @@ def accumulate(
     max_deaths: int,
     dask_address: str | None = None,
     subset: Subset = ALL,
-) -> tuple[dict[str, Statistic], list[Outcome]]:
+) -> tuple[dict[str, Statistic], list[Outcome], set[Group]]:
     """Count what is not counted yet, and add up a subset of it.
 
     Args:
@@ -95,12 +96,12 @@ def accumulate(
         subset: to add up.
 
     Returns:
-        the statistics by name, and why sequences could not be counted.
+        the statistics by name, why sequences could not be counted, and the groups of all that were, chosen or not.
 
     Raises:
         UserError: the folder holds parts of another data set or by other rules.
     """
-    recipe = {"format": FORMAT, "data": work.data.recipe(), "rules": asdict(work.rules)}
+    recipe = {"format": FORMAT, "data": work.data.recipe(), "rules": work.rules.of_counting}
     recipe["statistics"] = [kind.name for kind in work.statistics]
     claim(work.folder / "recipe.json", recipe, f"delete {work.folder}, or choose another output=")
     clear_litter(work.folder, "*.*", "*/*.*")
@@ -111,7 +112,7 @@ def accumulate(
         for outcome in _outcomes(work, left, workers, max_deaths, dask_address):
             counted.advance(about=outcome.name)
             if outcome.failure:
-                print(f"{printable(outcome.name)} failed: {outcome.failure}")
+                note(f"{outcome.name} failed: {outcome.failure}")
                 failures[outcome.name] = outcome
     statistics, groups = {kind.name: kind(work.rules) for kind in work.statistics}, set()
     for name in names:
@@ -120,8 +121,8 @@ def accumulate(
     if groups and not any(group in subset for group in groups):
         there = [sorted({getattr(group, by) for group in groups}) for by in Group._fields]
         said = "; ".join(f"{by}s {', '.join(names[:12])}" for by, names in zip(Group._fields, there, strict=True))
-        print(printable(f"{work.data.label} has no sequence of {subset}. It has {said}."))
-    return statistics, [failures[name] for name in sorted(failures)]
+        note(f"{work.data.label} has no sequence of {subset}. It has {said}.")
+    return statistics, [failures[name] for name in sorted(failures)], groups
 
 
 def _outcomes(
@@ -142,12 +143,12 @@ def _is_done(work: Accumulation, name: str) -> bool:
     try:
         inputs = _about(read_npz(path), path)["inputs"]
     except UserError:
-        print(f"{name} is counted again: {path} is damaged.")
+        note(f"{name} is counted again: {path} is damaged.")
         return False
     folder = work.data.folder
     changed = [file for file in inputs if not (folder / file).exists() or sha256(folder / file) != inputs[file]]
     if changed:
-        print(f"{name} is counted again: {folder / changed[0]} has changed.")
+        note(f"{name} is counted again: {folder / changed[0]} has changed.")
     return not changed
 
 

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
+import numpy as np
+
+from grabnet.analysis.data_set import Surface
 from grabnet.analysis.statistic import Row
+from grabnet.geometry.mesh import Mesh
 
 Item = TypeVar("Item")
 
@@ -26,6 +30,11 @@ def compared(items: Sequence[Item], named: Callable[[Item], tuple[str, str]]) ->
     ]
     alls = [item for item in items if named(item)[1] == "all"]
     return pairs + [(alls[0], other) for other in alls[1:]]
+
+
+def is_alike(one: Mesh | Surface, other: Mesh | Surface) -> bool:
+    """Whether vertices of one number are of one place: as many, and joined by the same faces."""
+    return len(one.vertices) == len(other.vertices) and np.array_equal(one.faces, other.faces)
 
 
 def minus(one: tuple[str, str], other: tuple[str, str]) -> str:

@@ -11,6 +11,7 @@ from grabnet.analysis.frames import Subset
 from grabnet.analysis.rules import Rules
 from grabnet.cli.checks import Concurrent, Count, Distance, Name, in_range
 from grabnet.contact.rules import ContactRules
+from grabnet.data.intents import INTENTS
 from grabnet.errors import UserError
 
 
@@ -19,7 +20,7 @@ class AnalyzeConfig:
     """The values of `configs/analyze/analyze.yaml`, which explains them.
 
     Raises:
-        UserError: a value out of range, or two data sets of one label.
+        UserError: a value out of range, an intent that there is not, or two data sets of one label.
     """
 
     data: DataSet
@@ -39,6 +40,8 @@ class AnalyzeConfig:
 
     def __post_init__(self):
         in_range(self)
+        if unknown := [name for name in self.intents or () if name not in INTENTS]:
+            raise UserError(f"intents names {', '.join(unknown)}: there are {', '.join(INTENTS)}.")
         if self.compare is not None and self.compare.label == self.data.label:
             raise UserError(f"Both data sets are called {self.data.label}: give compare.label another name.")
 

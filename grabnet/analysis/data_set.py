@@ -26,6 +26,7 @@ from grabnet.data.names import is_plain
 from grabnet.data.sequences import Sequence, load_below
 from grabnet.errors import UserError
 from grabnet.geometry.mesh import Mesh, load_mesh
+from grabnet.io.files import sha256
 from grabnet.preprocess.grasp_track import GraspTrack, mirrored
 from grabnet.preprocess.recordings import GrabRecordings
 
@@ -84,8 +85,12 @@ class DataSet(ABC):
     def hand(self) -> HandModel:
         """The right hand's model."""
 
-    def object_markers(self) -> Mapping[str, np.ndarray]:
-        """(M, 3) metres in the object's frame, of each object whose markers are known."""
+    def object_markers(self, field: str) -> Mapping[str, np.ndarray]:
+        """(M, 3) metres in the object's frame, of each object whose markers are known.
+
+        Args:
+            field: of the config, that names them, for errors.
+        """
         return {}
 
     def object_mesh(self, name: str) -> Mesh:
@@ -111,6 +116,12 @@ class Recordings(GrabRecordings, DataSet):
         super().__post_init__()
         check_label(self.label)
 
+    def recipe(self) -> dict[str, Any]:
+        """As of labels that are found: depths come from the bodies, wherever the labels are from."""
+        recipe = super().recipe()
+        bodies = {self.body_file(gender) for gender in ("female", "male")}
+        return recipe | {"models": recipe["models"] | {path.name: sha256(path) for path in sorted(bodies)}}
+
     def frames(self, name: str) -> tuple[Frames, dict[str, str]]:
         recording = self.read(name)
         sequence = recording.sequence
@@ -120,6 +131,9 @@ class Recordings(GrabRecordings, DataSet):
                 f"grab/{name}.npz labels {n} vertices of a body, the subjects' meshes have {len(self.surface.parts)}: "
                 "recordings of one data set must be of one kind of body."
             )
+        template = load_below(self.folder, sequence.body.vtemp, mend=False).vertices
+        if len(template) != n:
+            raise UserError(f"{sequence.body.vtemp} has {len(template)} vertices, the body {n}.")
         frames = Frames(
             name=name,
             group=Group(intent_of(sequence.motion_intent), sequence.sbj_id, sequence.obj_name),
@@ -128,13 +142,13 @@ class Recordings(GrabRecordings, DataSet):
             lift=height - height[0],
             surfaces={
                 "hands": [self._posed_hand(recording.right), self._posed_hand(recording.left_mirrored())],
-                "head": [self._posed_body(sequence, SURFACES["head"])],
-                "body": [self._posed_body(sequence, SURFACES["body"])],
+                "head": [self._posed_body(sequence, template, SURFACES["head"])],
+                "body": [self._posed_body(sequence, template, SURFACES["body"])],
             },
             solid=lambda: _solid(self.objects()[sequence.obj_name]),
             hand_length=float(np.ptp(self.rest(sequence.rhand.vtemp).numpy(), 0).max()),
         )
-        return frames, recording.inputs
+        return frames, recording.inputs | {sequence.body.vtemp: sha256(self.folder / sequence.body.vtemp)}
 
     @cached_property
     def surface(self) -> Surface:
@@ -152,17 +166,17 @@ class Recordings(GrabRecordings, DataSet):
         right = cKDTree(model.v_template.numpy()).query((hand.v_template + shift).numpy())[1]
         return Surface(vertices.numpy(), model.faces.numpy(), vertex_parts(model.weights.numpy()), right)
 
-    def object_markers(self) -> Mapping[str, np.ndarray]:
-        return {} if self.markers is None else read_markers(self.markers, self.objects())
+    def object_markers(self, field: str) -> Mapping[str, np.ndarray]:
+        return {} if self.markers is None else read_markers(self.markers, self.objects(), field)
 
-    def _posed_body(self, sequence: Sequence, parts: Collection[int]) -> Posed:
-        """Those vertices of the whole body that belong to some parts."""
+    def _posed_body(self, sequence: Sequence, template: np.ndarray, parts: Collection[int]) -> Posed:
+        """Those vertices of the whole body, of a subject's template (V, 3), that belong to some parts."""
         own = torch.tensor(np.isin(self.surface.parts, list(parts)))
 
         @torch.no_grad()
         def pose(frames: np.ndarray) -> torch.Tensor:
-            template = torch.tensor(load_below(self.folder, sequence.body.vtemp, mend=False).vertices)
-            vertices = posed(sequence, _body(self.body_file(sequence.gender)), template, frames)[:, own]
+            body = _body(self.body_file(sequence.gender))
+            vertices = posed(sequence, body, torch.tensor(template), frames)[:, own]
             return sequence.object.to_local(vertices, frames)
 
         return pose
@@ -184,7 +198,10 @@ class Recordings(GrabRecordings, DataSet):
 def check_label(label: str) -> None:
     """Refuse a label that is no name of a folder, or that stands for something else."""
     if not is_plain(label) or label in ("all", "difference"):
-        raise UserError(f"The label {label!r} cannot name a data set: give it letters, digits, - and _.")
+        raise UserError(
+            f"The label {label!r} cannot name a data set: "
+            "give a name without / \\ : and a leading dot, that is neither 'all' nor 'difference'."
+        )
 
 
 @cache

@@ -41,14 +41,22 @@ class Subset:
     objects: Collection[str] | None = None
 
     def __contains__(self, group: Group) -> bool:
-        chosen = (self.intents, self.subjects, self.objects)
-        return all(names is None or not name or name in names for names, name in zip(chosen, group, strict=True))
+        return all(getattr(group, field) in ("", *names) for field, names in self.by.items())
+
+    @property
+    def by(self) -> dict[str, Collection[str]]:
+        """The names chosen, by the field of `Group` that they are of; none of fields of which all are."""
+        chosen = zip(Group._fields, (self.intents, self.subjects, self.objects), strict=True)
+        return {field: names for field, names in chosen if names is not None}
+
+    def missing(self, groups: Collection[Group]) -> list[str]:
+        """Names chosen that no group has, as in "object mgu"."""
+        there = {field: {getattr(group, field) for group in groups} for field in self.by}
+        return [f"{field} {name}" for field, names in self.by.items() for name in names if name not in there[field]]
 
     def __str__(self) -> str:
         """Words, as in "intents use; objects mug, cup"."""
-        named = {"intents": self.intents, "subjects": self.subjects, "objects": self.objects}
-        said = [f"{what} {', '.join(names) or 'none'}" for what, names in named.items() if names is not None]
-        return "; ".join(said) or "all"
+        return "; ".join(f"{field}s {', '.join(names) or 'none'}" for field, names in self.by.items()) or "all"
 
 
 ALL = Subset()

@@ -17,18 +17,19 @@ from grabnet.mosh.layouts import read_object_layouts
 _SLACK = 0.02
 
 
-def read_markers(path: str, objects: Mapping[str, Path]) -> dict[str, np.ndarray]:
+def read_markers(path: str, objects: Mapping[str, Path], field: str) -> dict[str, np.ndarray]:
     """Positions (M, 3) of the markers of each object that has any, metres in its own frame.
 
     Args:
         path: a layout of objects as MoSh reads it (YAML); or a folder of `<object>.npy`, each of positions (M, 3)
             or of the numbers (M,) of the mesh's vertices that the markers are on.
         objects: mesh file of each object; markers of others are left out.
+        field: of the config, that names the path, for errors.
 
     Raises:
         UserError: no such path, not in this form, or markers that are not on their object.
     """
-    place = existing(path, "Markers (data.markers)")
+    place = existing(path, f"Markers ({field})")
     if place.is_dir():
         files = {file.stem: file for file in sorted(place.glob("*.npy"))}
         found = {name: _read(file, objects[name]) for name, file in files.items() if name in objects}
@@ -36,14 +37,16 @@ def read_markers(path: str, objects: Mapping[str, Path]) -> dict[str, np.ndarray
         layouts = read_object_layouts(place)
         found = {name: layout.positions for name, layout in layouts.items() if name in objects}
     if not found:
-        raise UserError(f"{place} holds markers of none of the {len(objects)} objects: name another data.markers.")
+        raise UserError(
+            f"{place} holds markers of none of the {len(objects)} objects: give {field} another path, or {field}=null."
+        )
     for name, markers in found.items():
         vertices = load_mesh(objects[name], weld=False).vertices
         outside = np.maximum(vertices.min(0) - markers, markers - vertices.max(0)).max()
         if not outside <= _SLACK:
             raise UserError(
                 f"{place}: a marker of {name} is {1000 * outside:.0f} mm off the object: metres in the object's frame "
-                "are needed."
+                f"are needed; or give {field}=null."
             )
     return found
 

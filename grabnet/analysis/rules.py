@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any
 
 from grabnet.cli.checks import Amount, Count, Filled, Several, Weight, in_range
 
@@ -29,3 +29,8 @@ class Rules:
 
     def __post_init__(self):
         in_range(self, "rules.")
+
+    @property
+    def of_counting(self) -> dict[str, Any]:
+        """Those that decide what is counted; the others are of what is made of it."""
+        return {name: value for name, value in asdict(self).items() if name not in ("clusters", "seed")}

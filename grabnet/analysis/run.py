@@ -32,6 +32,7 @@ from grabnet.analysis.statistic import Analysed, Row
 from grabnet.analysis.statistics.clusters import Clusters
 from grabnet.cli.ends import say
 from grabnet.cli.progress import track
+from grabnet.errors import UserError
 from grabnet.io.files import filling, replacing, write_json
 from grabnet.io.locks import alone_in
 from grabnet.io.provenance import provenance
@@ -53,25 +54,31 @@ def run(config: AnalyzeConfig) -> int:
 
 
 def analyze(config: AnalyzeConfig) -> list[str]:
-    """Count, and write everything; why sequences could not be counted, in sentences.
+    """Count, and write everything; in sentences, why sequences could not be counted, and what of a subset is nowhere.
 
     Raises:
-        UserError: no sequences, or an output that holds another analysis.
+        UserError: no sequences, an object to choose that has no mesh, or an output that holds another analysis.
     """
-    start, failures, analysed = time.monotonic(), [], []
+    start, failures, analysed, groups, markers = time.monotonic(), [], [], set(), []
     names = [data.names() for data in config.data_sets]
-    for data in config.data_sets:
+    for group, data in zip(("data", "compare"), config.data_sets, strict=False):
         # Read once, here: workers get them, and what is wrong with them is said before hours of counting.
-        _ = data.surface, data.objects(), data.object_markers()
+        _ = data.surface, data.objects()
+        markers.append(data.object_markers(f"{group}.markers"))
+    objects = sorted({name for data in config.data_sets for name in data.objects()})
+    if unknown := [name for name in config.objects or () if name not in objects]:
+        raise UserError(f"objects names {', '.join(unknown)}: there are {', '.join(objects)}.")
     with alone_in(config.root, "output"), filling(config.root, RESULTS, _is_ours) as folder:
-        for data, sequences in zip(config.data_sets, names, strict=True):
+        for data, sequences, on_objects in zip(config.data_sets, names, markers, strict=True):
             work = Accumulation(data, STATISTICS, config.rules, config.root / "counted" / data.label)
-            statistics, failed = accumulate(
+            statistics, failed, there = accumulate(
                 work, sequences, config.workers, config.max_deaths, config.dask_address, config.subset
             )
             failures += [f"{outcome.name}: {outcome.failure}" for outcome in failed]
-            statistics[Clusters.name].markers = data.object_markers()
+            groups |= there
+            statistics[Clusters.name].markers = on_objects
             analysed.append(Analysed(data, statistics))
+        failures += [f"Nothing that was counted has the chosen {what}." for what in config.subset.missing(groups)]
         findings = _findings(config, folder, analysed, failures, time.monotonic() - start)
         _write(folder, findings)
     return failures

@@ -86,12 +86,22 @@ class Statistic(ABC):
         self.sums[key] = self.sums[key] + value if key in self.sums else np.asarray(value)
 
     def total(self, what: str, subset: Subset) -> Any:
-        """Sum over the groups of a subset; 0 where there are none."""
+        """Sum over the groups of a subset; 0 where there are none.
+
+        Raises:
+            ValueError: the subset chooses by what is not told apart.
+        """
+        self._can_choose(subset)
         return sum((value for (group, name), value in self.sums.items() if name == what and group in subset), 0)
 
     def groups(self, subset: Subset) -> list[Group]:
-        """Those of a subset that were counted."""
+        """Those of a subset that were counted; raises as `total`."""
+        self._can_choose(subset)
         return sorted({group for group, _ in self.sums if group in subset})
+
+    def _can_choose(self, subset: Subset) -> None:
+        if merged := subset.by.keys() - set(self.by):
+            raise ValueError(f"{self.name} does not tell {', '.join(sorted(merged))} apart: name it in `by`.")
 
     def by_intent(self, subset: Subset) -> Iterator[tuple[str, Subset]]:
         """The subset's part of each intent that was counted, after "all"."""

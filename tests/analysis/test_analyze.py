@@ -62,18 +62,21 @@ def test_a_statistic_is_a_class_and_a_pass_continues(grab, tmp_path, capsys):
     work = Accumulation(config.data, [Toy], config.rules, tmp_path / "counted")
     Toy.calls = 0
     accumulate(work, list(SEQUENCES)[:3], 1, 3)
-    statistics, failures = accumulate(work, SEQUENCES, 1, 3)
+    statistics, failures, _ = accumulate(work, SEQUENCES, 1, 3)
     assert (Toy.calls, failures) == (len(SEQUENCES), [])
     recordings = [read_sequence(grab[0] / f"grab/{name}.npz") for name in SEQUENCES]
     untouched = {r.name: int((~r.contact.object.any(1)).sum()) for r in recordings}
     rows = Analysed(config.data, statistics).rows(Toy)
     assert rows[0] == {"intent": "all", "frames": sum(untouched.values())}
     Toy.calls = 0
-    chosen, _ = accumulate(work, SEQUENCES, 1, 3, subset=Subset(subjects=["s2"]))
+    chosen, _, groups = accumulate(work, SEQUENCES, 1, 3, subset=Subset(subjects=["s2"]))
     expected = sum(n for name, n in untouched.items() if name.startswith("s2"))
     assert (chosen["toy"].result(ALL)[0]["frames"], Toy.calls) == (expected, 0)
-    with pytest.raises(UserError, match=r"started with rules\.seed=0, now it is 1: delete"):
-        accumulate(replace(work, rules=replace(config.rules, seed=1)), SEQUENCES, 1, 3)
+    assert {group.subject for group in groups} == {"s1", "s2"}
+    accumulate(replace(work, rules=replace(config.rules, seed=1, clusters=3)), SEQUENCES, 1, 3)
+    assert Toy.calls == 0  # both are of what is made of what was counted
+    with pytest.raises(UserError, match=r"started with rules\.posed_every=3, now it is 1: delete"):
+        accumulate(replace(work, rules=replace(config.rules, posed_every=1)), SEQUENCES, 1, 3)
 
 
 def test_a_recording_that_changed_is_counted_again_and_a_damaged_one_fails(grab, tmp_path, capsys):
@@ -86,7 +89,7 @@ def test_a_recording_that_changed_is_counted_again_and_a_damaged_one_fails(grab,
     work = Accumulation(data, [Toy], config.rules, tmp_path / "counted")
     accumulate(work, SEQUENCES[:2], 1, 3)
     (tmp_path / f"root/grab/{SEQUENCES[0]}.npz").write_bytes(b"damaged")
-    statistics, (failure,) = accumulate(work, SEQUENCES[:2], 1, 3)
+    statistics, (failure,), _ = accumulate(work, SEQUENCES[:2], 1, 3)
     assert f"{SEQUENCES[0]} is counted again" in capsys.readouterr().out
     assert failure.name == SEQUENCES[0] and "not a readable .npz file" in failure.failure
     assert len(statistics["toy"].groups(Subset())) == 1
@@ -125,16 +128,33 @@ def test_the_report_has_everything(grab, report):
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "missing"),
     [
-        (["intents=[offhand]"], "There are no such frames in what was chosen."),
-        (["objects=[mug]", "subjects=[s1]"], "There are no such frames in what was chosen."),
+        (["intents=[offhand]"], ["intent offhand"]),
+        (["subjects=[s3]", "objects=[mug]"], ["subject s3"]),
+        (["objects=[mug]", "subjects=[s1]"], []),
     ],
 )
-def test_an_empty_subset_is_said(grab, report, tmp_path, monkeypatch, more, said):
+def test_an_empty_subset_is_said(grab, report, tmp_path, monkeypatch, capsys, more, missing):
     (tmp_path / "counted").symlink_to(report / "counted")
-    assert command(monkeypatch, "analyze", values(grab, tmp_path, *more)) == 0
-    assert said in SHOWN.sub("", (tmp_path / "report.html").read_text())
+    assert command(monkeypatch, "analyze", values(grab, tmp_path, "scenes=false", *more)) == bool(missing)
+    assert "There are no such frames in what was chosen." in SHOWN.sub("", (tmp_path / "report.html").read_text())
+    said = [f"error: Nothing that was counted has the chosen {what}." for what in missing]
+    assert capsys.readouterr().err.splitlines()[-1:] == said
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("objects=[ball,bal]", "objects names bal: there are apple, ball, mug, table."),
+        ("intents=[use,pss]", "intents names pss: there are use, pass, lift, offhand."),
+    ],
+)
+def test_a_misspelt_member_of_a_subset_stops_before_counting(grab, tmp_path, monkeypatch, capsys, more, said):
+    with pytest.raises(SystemExit) as end:
+        command(monkeypatch, "analyze", values(grab, tmp_path / "out", more))
+    assert end.value.code == 2 and said in capsys.readouterr().err
+    assert not (tmp_path / "out/counted").exists()
 
 
 def test_a_recording_without_contact_is_said_and_results_of_before_give_way(grab, tmp_path, monkeypatch):
@@ -254,6 +274,10 @@ def test_a_browser_shows_the_page_and_turns_the_meshes(report, tmp_path):
         browser.evaluate("document.getElementById('mesh').onchange()")
         second = browser.evaluate(inked)
         assert min(first, second) > 2000 and first != second
+        late = "(async () => { const mesh = document.getElementById('mesh'); mesh.selectedIndex = 0; "
+        late += "const shown = mesh.onchange(); mesh.selectedIndex = mesh.length - 1; await shown; })()"
+        browser.evaluate(late)
+        assert browser.evaluate(inked) == second  # what was read too late is not shown
         browser.evaluate("document.getElementById('mesh').value = 'ball'")
         browser.evaluate("document.getElementById('mesh').onchange()")
         names = browser.evaluate("[...document.getElementById('heat').options].map(o => o.value)")

@@ -45,7 +45,7 @@ class TestHostile:
     def counted(self, grab, root: Path, kinds=STATISTICS):
         config = data_of(grab, root)
         work = Accumulation(replace(config.data, root=str(root)), kinds, config.rules, root.parent / "counted")
-        statistics, failures = accumulate(work, work.data.names(), 1, 3)
+        statistics, failures, _ = accumulate(work, work.data.names(), 1, 3)
         return Analysed(work.data, statistics), [outcome.failure for outcome in failures]
 
     def test_recordings_that_cannot_be_counted_are_named_and_the_others_counted(self, grab, mixed, capsys):
@@ -92,6 +92,21 @@ class TestHostile:
         assert "is counted again" in capsys.readouterr().out
         assert (failures, analysed.rows(Content)[0]["sequences"]) == ([], 1)
 
+    def test_bodies_that_depths_follow_from_are_inputs(self, grab, mixed, tmp_path, capsys):
+        """With stored labels, too: a template that changes is counted again, another body model is refused."""
+        self.counted(grab, mixed, [Content])
+        vtemp = mixed / read_sequence(mixed / f"grab/{SEQUENCES[1]}.npz").body.vtemp
+        solid = trimesh.load(vtemp, process=False)
+        vtemp.write_bytes(trimesh.Trimesh(1.01 * solid.vertices, solid.faces, process=False).export(file_type="ply"))
+        assert self.counted(grab, mixed, [Content])[1] == []
+        assert f"{vtemp} has changed" in capsys.readouterr().out
+        data = replace(data_of(grab, tmp_path).data, root=str(mixed))
+        assert {"SMPLX_FEMALE.npz", "SMPLX_MALE.npz"} < data.recipe()["models"].keys()
+        _ = data.surface  # of the template as it was
+        vtemp.write_bytes(trimesh.Trimesh(solid.vertices[:99], [[0, 1, 2]], process=False).export(file_type="ply"))
+        with pytest.raises(UserError, match=r"\.ply has 99 vertices, the body 1556"):
+            data.frames(SEQUENCES[1])
+
     def test_results_of_others_stay(self, grab, tmp_path, monkeypatch, capsys):
         (tmp_path / "figures").mkdir()
         (tmp_path / "figures/mine.png").write_bytes(b"mine")
@@ -109,13 +124,13 @@ class TestMarkers:
         vertices = trimesh.load(objects["ball"], process=False).vertices
         np.save(tmp_path / "ball.npy", np.array([5, 7]))
         np.save(tmp_path / "mug.npy", vertices[:3])
-        found = read_markers(str(tmp_path), objects)
+        found = read_markers(str(tmp_path), objects, "data.markers")
         np.testing.assert_allclose(found["ball"], vertices[[5, 7]], atol=1e-6)
         np.testing.assert_allclose(found["mug"], vertices[:3])
         lines = [f"  m{k}: [{', '.join(f'{x:.5f}' for x in vertices[k])}]" for k in (0, 100, 200)]
         (tmp_path / "layout.yaml").write_text("\n".join(["ball:", *lines]))
         np.testing.assert_allclose(
-            read_markers(f"{tmp_path}/layout.yaml", objects)["ball"][1], vertices[100], atol=1e-5
+            read_markers(f"{tmp_path}/layout.yaml", objects, "data.markers")["ball"][1], vertices[100], atol=1e-5
         )
 
     @pytest.mark.parametrize(
@@ -130,7 +145,17 @@ class TestMarkers:
     def test_others_are_refused(self, grab, tmp_path, array, said):
         np.save(tmp_path / "ball.npy", array)
         with pytest.raises(UserError, match=said):
-            read_markers(str(tmp_path), object_files(grab[0] / "tools/object_meshes/contact_meshes"))
+            read_markers(str(tmp_path), object_files(grab[0] / "tools/object_meshes/contact_meshes"), "data.markers")
+
+    @pytest.mark.parametrize("field", ["data.markers", "compare.markers"])
+    def test_markers_of_other_objects_are_refused_by_the_name_of_their_field(
+        self, grab, tmp_path, monkeypatch, capsys, field
+    ):
+        np.save(tmp_path / "other.npy", np.zeros((3, 3)))
+        more = ["compare=open", f"compare.root={grab[0]}", f"compare.models={grab[1]}", "compare.markers=null"]
+        with pytest.raises(SystemExit):
+            command(monkeypatch, "analyze", values(grab, tmp_path / "out", *more, f"{field}={tmp_path}"))
+        assert f"give {field} another path, or {field}=null." in capsys.readouterr().err
 
     def test_the_open_layout_is_of_the_open_objects(self):
         """What the open data's config names: markers on the surfaces of the open objects."""
@@ -157,7 +182,7 @@ class TestMarkers:
         vertices = trimesh.load(grab[0] / "tools/object_meshes/contact_meshes/ball.ply", process=False).vertices
         for markers in ({}, {"ball": vertices[::25]}):
             work = Accumulation(config.data, [Clusters], config.rules, tmp_path / "counted")
-            statistics, _ = accumulate(work, SEQUENCES[1:2], 1, 3)
+            statistics, _, _ = accumulate(work, SEQUENCES[1:2], 1, 3)
             statistics["clusters"].markers = markers
             found.append(Analysed(config.data, statistics))
         return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import torch
 from grabnet.analysis.comparing import compared, difference
 from grabnet.analysis.frames import ALL, FINGER_PARTS, SURFACES, WHO, Group, Solid, Subset
 from grabnet.analysis.registry import STATISTICS
+from grabnet.analysis.statistic import Analysed
 from grabnet.analysis.statistics.body_heat import BodyHeat
 from grabnet.analysis.statistics.clusters import Clusters
 from grabnet.analysis.statistics.content import Content
@@ -21,6 +23,7 @@ from grabnet.analysis.statistics.shares import ContactShares
 from grabnet.analysis.statistics.sizes import SizeEffect, SizeHeat
 from grabnet.analysis.statistics.threshold_heat import ThresholdHeat, setups
 from grabnet.analysis.statistics.thresholds import Thresholds
+from grabnet.geometry.mesh import Mesh
 from tests.analysis.toy import BOX, GROUPS, RULES, box, has, is_contact, sequence
 
 SEQUENCES = [sequence(k) for k in range(len(GROUPS))]
@@ -224,7 +227,11 @@ def test_grasps_to_cluster_are_bounded():
 @pytest.mark.parametrize("kind", STATISTICS)
 @pytest.mark.parametrize("subset", [Subset(["offhand"]), Subset(objects=[]), Subset(subjects=["s9"])])
 def test_an_empty_subset_has_no_lines(kind, subset):
-    assert counted(kind).result(subset) == []
+    if subset.by.keys() <= set(kind.by):
+        assert counted(kind).result(subset) == []
+    else:  # merged: numbers of everyone would be taken for those of the subset
+        with pytest.raises(ValueError, match=r"does not tell (intent|subject|object) apart"):
+            counted(kind).result(subset)
 
 
 @pytest.mark.parametrize("kind", STATISTICS)
@@ -266,3 +273,46 @@ def test_what_is_not_told_apart_can_be_merged(kind):
         merged.merge(one)
     assert str(merged.result(ALL)) == str(counted(kind).result(ALL))
     assert len(merged.groups(ALL)) == len({tuple(getattr(g, by) for by in kind.by) for g in counted(kind).groups(ALL)})
+
+
+@pytest.mark.parametrize("same_faces", [True, False])
+def test_differences_are_shown_on_the_mesh_that_they_are_of(same_faces):
+    """Two data sets, whose "cubesmall" has other vertices, or as many with other faces."""
+
+    def data(label: str, n: int, last: int):
+        mesh = Mesh(np.eye(3)[np.arange(n) % 3], np.array([[0, 1, 2], [0, 1, last]]))
+        return SimpleNamespace(label=label, object_mesh=lambda name: mesh)
+
+    def fewer(frames):
+        return frames if not same_faces else replace(frames, object=frames.object[:, :20])
+
+    sets = [SEQUENCES[0], SEQUENCES[2]]
+    ours = Analysed(data("a", 30, 3), {ObjectHeat.name: counted(ObjectHeat, sets)})
+    theirs = Analysed(
+        data("b", 20 if same_faces else 30, 3 if same_faces else 4),
+        {ObjectHeat.name: counted(ObjectHeat, [fewer(frames) for frames in sets])},
+    )
+    found = ObjectHeat.heats([ours, theirs])
+    assert {name: list(heats.changes) for name, heats in found.items()} == {
+        "cubesmall": ["a, use − pass"], "cubesmall of b": ["b, use − pass"],
+    }  # fmt: skip
+    for heats in found.values():
+        assert {len(v) for v in (*heats.shares.values(), *heats.changes.values())} == {len(heats.vertices)}
+    use, other = (np.mean([f.object[t] > 0 for f, t in contact([fewer(s)])], 0) for s in sets)
+    np.testing.assert_allclose(found["cubesmall of b"].changes["b, use − pass"], use - other)
+
+
+def test_all_generated_grasps_are_posed():
+    """They have no lift, and no order that every n-th could be of."""
+    grasps = replace(SEQUENCES[0], lift=np.full(len(SEQUENCES[0]), np.inf))
+    there = [t for t in range(len(grasps)) if is_contact(grasps, t) and has(grasps, t, SURFACES["hands"])]
+    found = row(counted(Penetration, [grasps]).result(ALL), intent="use", surface="hands", **{"of a frame": "max"})
+    assert found["posed frames"] == len(there) > 20
+
+
+def test_the_curve_over_c_is_at_the_lift_of_contact_frames():
+    thresholds = Thresholds(replace(RULES, min_lift=0.02))
+    for frames in SEQUENCES:
+        thresholds.add(frames)
+    figure = Thresholds.draw([Analysed(SimpleNamespace(label="a"), {Thresholds.name: thresholds})])
+    assert "(H = 20)" in figure.axes[1].get_xlabel()

@@ -34,7 +34,7 @@ class Findings:
         sections: of statistics.
         agreement: published numbers beside those of the first data set.
         heats: meshes to turn, by name.
-        failures: what could not be counted, in sentences.
+        failures: what could not be counted or was not found, in sentences.
         no_pictures: why this machine draws no pictures; None where it does.
         record: what it was made with.
     """

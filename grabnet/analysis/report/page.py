@@ -75,7 +75,7 @@ def _agreement(findings: Findings) -> str:
     parts = []
     if findings.failures:
         items = "".join(f"<li>{escape(sentence)}</li>" for sentence in findings.failures)
-        parts.append(f"<div class=warning><b>What could not be counted.</b><ul>{items}</ul></div>")
+        parts.append(f"<div class=warning><b>What is missing.</b><ul>{items}</ul></div>")
     if first.data.is_synthetic:
         parts.append(
             f"<div class=warning>The data set “{escape(first.label)}” is synthetic: nobody was recorded. The published "

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from grabnet.analysis.comparing import compared, minus
+from grabnet.analysis.comparing import compared, is_alike, minus
 from grabnet.analysis.data_set import Surface
 from grabnet.analysis.frames import ALL, WHO, Frames, Subset
 from grabnet.analysis.plots import difference_colours, heat_colours, tiled
@@ -101,8 +101,7 @@ class BodyHeat(Statistic):
             for one in seen:
                 if view not in one.shares:
                     continue
-                is_alike = len(one.surface.parts) == len(seen[0].surface.parts)
-                name = what if is_alike else f"{what} of {one.label}"
+                name = what if is_alike(one.surface, seen[0].surface) else f"{what} of {one.label}"
                 vertices, faces, share = cut(one.surface, view, one.shares[view])
                 heats = found.setdefault(name, Heats(vertices, faces, "y", {}, {}))
                 heats.shares[f"{one.label}, {one.intent}"] = share
@@ -142,7 +141,7 @@ def _changes(a: _Seen, b: _Seen) -> dict[str, np.ndarray]:
     found = {}
     for name in a.shares.keys() & b.shares.keys():
         one, other = a.shares[name], b.shares[name]
-        if len(one) == len(other):
+        if is_alike(a.surface, b.surface):
             found[name] = one - other
         elif VIEWS[name].of == "right hand":
             found[name] = np.zeros(len(one))

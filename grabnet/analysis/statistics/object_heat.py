@@ -7,11 +7,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from grabnet.analysis.comparing import compared, minus
+from grabnet.analysis.comparing import compared, is_alike, minus
 from grabnet.analysis.data_set import DataSet
 from grabnet.analysis.frames import ALL, Frames, Subset
 from grabnet.analysis.plots import difference_colours, heat_colours, tiled
 from grabnet.analysis.statistic import Analysed, Heats, Row, Statistic
+from grabnet.geometry.mesh import Mesh
 from grabnet.visual.pictures import Shape, can_render, render_views
 
 _SIZE = (150, 150)
@@ -61,10 +62,10 @@ class ObjectHeat(Statistic):
             return None
         columns = list(dict.fromkeys(column for shares in found.values() for column in shares))
         pairs = compared(columns, lambda column: column)
-        changes = {name: _changes(shares, pairs) for name, shares in found.items()}
+        data = {each.label: each.data for each in analysed}
+        changes = {name: _changes(shares, _meshes(data, name, shares), pairs) for name, shares in found.items()}
         pairs = [pair for pair in pairs if any(pair in of for of in changes.values())]
         most = max((float(np.abs(c).max()) for of in changes.values() for c in of.values()), default=0.0)
-        data = {each.label: each.data for each in analysed}
         tiles = []
         for name, shares in found.items():
             line = [_tile(data[c[0]], name, heat_colours(shares[c], highest)) if c in shares else None for c in columns]
@@ -83,16 +84,14 @@ class ObjectHeat(Statistic):
     def heats(cls, analysed: Sequence[Analysed]) -> dict[str, Heats]:
         data, found = {each.label: each.data for each in analysed}, {}
         for name, shares in cls._shares(analysed).items():
-            first = next(iter(shares))
-            for column, share in shares.items():
-                is_alike = len(share) == len(shares[first])
-                title = name if is_alike else f"{name} of {column[0]}"
-                if title not in found:
-                    mesh = data[column[0]].object_mesh(name)
-                    found[title] = Heats(mesh.vertices, mesh.faces, "z", {}, {})
-                found[title].shares[", ".join(column)] = share
-            changes = _changes(shares, compared(list(shares), lambda column: column))
-            found[name].changes.update({minus(*pair): change for pair, change in changes.items()})
+            meshes = _meshes(data, name, shares)
+            first = next(iter(meshes.values()))
+            titles = {label: name if is_alike(mesh, first) else f"{name} of {label}" for label, mesh in meshes.items()}
+            for (label, intent), share in shares.items():
+                empty = Heats(meshes[label].vertices, meshes[label].faces, "z", {}, {})
+                found.setdefault(titles[label], empty).shares[f"{label}, {intent}"] = share
+            for pair, change in _changes(shares, meshes, compared(list(shares), lambda column: column)).items():
+                found[titles[pair[0][0]]].changes[minus(*pair)] = change
         return found
 
     @classmethod
@@ -108,9 +107,16 @@ class ObjectHeat(Statistic):
         return dict(sorted(found.items()))
 
 
-def _changes(shares: Mapping[_Column, np.ndarray], pairs: Sequence[tuple[_Column, _Column]]) -> dict:
+def _meshes(data: Mapping[str, DataSet], name: str, shares: Mapping[_Column, np.ndarray]) -> dict[str, Mesh]:
+    """An object's mesh in each data set that touches it, by label."""
+    return {label: data[label].object_mesh(name) for label in dict.fromkeys(label for label, _ in shares)}
+
+
+def _changes(
+    shares: Mapping[_Column, np.ndarray], meshes: Mapping[str, Mesh], pairs: Sequence[tuple[_Column, _Column]]
+) -> dict[tuple[_Column, _Column], np.ndarray]:
     """Differences of likelihoods by pair of columns; none of meshes that differ between data sets."""
-    there = [(a, b) for a, b in pairs if a in shares and b in shares and len(shares[a]) == len(shares[b])]
+    there = [(a, b) for a, b in pairs if a in shares and b in shares and is_alike(meshes[a[0]], meshes[b[0]])]
     return {(a, b): shares[a] - shares[b] for a, b in there}
 
 

@@ -26,14 +26,16 @@ class Penetration(Statistic):
     about = (
         "Of each contact frame in which a vertex of the hands, the head or the rest of the body is inside the object: "
         "largest, mean and median depth over such vertices (paper S.5, Fig. S.2). Of the contact frames in which the "
-        "surface touches, every n-th is posed (rules.posed_every)."
+        "surface touches, every n-th is posed (rules.posed_every), of generated grasps all."
     )
     by = ("intent",)
 
     def add(self, frames: Frames) -> None:
         contact = frames.contact_frames(self.rules.min_lift, self.rules.min_body_vertices)
+        # Generated grasps have no lift and follow each other in no order: all are posed.
+        step = 1 if np.isinf(frames.lift).all() else self.rules.posed_every
         for surface in frames.surfaces:
-            chosen = (contact & frames.touching(SURFACES[surface])).nonzero()[0][:: self.rules.posed_every]
+            chosen = (contact & frames.touching(SURFACES[surface])).nonzero()[0][::step]
             depths = [inside.astype(np.float64) for inside in frames.depths(surface, chosen) if len(inside)]
             values = np.array([[d.max(), d.mean(), np.median(d)] for d in depths]).reshape(-1, len(_KINDS))
             bins = (np.ceil(values / _BIN - 1e-6).astype(int) - 1).clip(0, _BINS - 1)  # (low, high]

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from grabnet.analysis.frames import FINGER_PARTS, Frames, Subset
-from grabnet.analysis.frames import WHO as _WHO
+from grabnet.analysis.frames import FINGER_PARTS, WHO, Frames, Subset
 from grabnet.analysis.plots import COLOURS, legend, panels
 from grabnet.analysis.statistic import Analysed, Row, Statistic
 
@@ -28,10 +27,10 @@ class Thresholds(Statistic):
     by = ("intent",)
 
     def add(self, frames: Frames) -> None:
-        parts = _WHO | FINGER_PARTS
+        parts = WHO | FINGER_PARTS
         counts = np.stack([frames.counts[:, list(labels)].sum(1) for labels in parts.values()], 1)  # (T, parts)
         touching = counts >= np.array(self.rules.finger_vertices)[:, None, None]  # (C, T, parts)
-        touching[..., len(_WHO) :] &= touching[..., :1]  # fingers: of the frames of the right hand
+        touching[..., len(WHO) :] &= touching[..., :1]  # fingers: of the frames of the right hand
         found = []
         for lift in self.rules.lifts:
             contact = frames.contact_frames(lift, self.rules.min_body_vertices)
@@ -47,8 +46,8 @@ class Thresholds(Statistic):
                 n, *touching = table[h, c]
                 row: Row = {"intent": intent, "H [mm]": f"{1000 * self.rules.lifts[h]:g}"}
                 row |= {"C": str(self.rules.finger_vertices[c]), "contact frames": int(n)}
-                for k, (part, count) in enumerate(zip(_WHO | FINGER_PARTS, touching, strict=True)):
-                    whole = n if k < len(_WHO) else touching[0]
+                for k, (part, count) in enumerate(zip(WHO | FINGER_PARTS, touching, strict=True)):
+                    whole = n if k < len(WHO) else touching[0]
                     row[f"{part} [%]"] = 100 * count / whole if whole else np.nan
                 rows.append(row)
         return rows
@@ -56,11 +55,12 @@ class Thresholds(Statistic):
     @classmethod
     def draw(cls, analysed: Sequence[Analysed]) -> Figure | None:
         tables = {each.label: [row for row in each.rows(cls) if row["intent"] == "all"] for each in analysed}
-        parts = [*_WHO, *FINGER_PARTS]
+        parts, rules = [*WHO, *FINGER_PARTS], analysed[0].statistics[cls.name].rules
         figure, axes = panels(len(tables), 2, 5.2, 2.6)
         for line, (label, rows) in zip(axes, tables.items(), strict=True):
             lifts, counts = (list(dict.fromkeys(row[key] for row in rows)) for key in ("H [mm]", "C"))
-            fixed = {"H [mm]": ("C", counts[:1]), "C": ("H [mm]", [_nearest(lifts, 5)] if lifts else [])}
+            at_lift = [_nearest(lifts, 1000 * rules.min_lift)] if lifts else []
+            fixed = {"H [mm]": ("C", counts[:1]), "C": ("H [mm]", at_lift)}
             for here, (along, (other, at)) in zip(line, fixed.items(), strict=True):
                 for k, part in enumerate(parts):
                     chosen = [row for row in rows if row[other] in at]
