@@ -83,7 +83,7 @@ def tiled(
     height, width = next(tile for line in tiles for tile in line if tile is not None).shape[:2]
     pitch = height + (round(0.2 * height) if captions else 0)
     inches = len(heads) * size, len(lines) * size * pitch / width
-    beside = 0.3 + 0.08 * max(len(part) for line in lines for part in line.split("\n"))
+    beside = 0.4 + 0.095 * max(len(part) for line in lines for part in line.split("\n"))
     figure = Figure((inches[0] + beside, inches[1] + 0.5 + 0.75 * bool(scales)), layout="constrained")
     parts = figure.subfigures(
         1 + bool(scales), 1, height_ratios=[inches[1] + 0.5, 0.75][: 1 + bool(scales)], squeeze=False
