@@ -13,6 +13,8 @@ from grabnet.mosh.layouts import DISTANCES, read_layout, read_mapping, write_lay
 from grabnet.mosh.placing import place_layout
 from grabnet.mosh.subjects import GENDERS, Subject
 
+_DRAWN = (".png", ".html")  # written beside a layout
+
 
 @dataclass(frozen=True)
 class PlaceConfig:
@@ -30,7 +32,8 @@ class PlaceConfig:
 
     def __post_init__(self):
         one_of(self, gender=GENDERS)
-        _refuse_suffix(self.output, ".yaml", ".yml")
+        if Path(self.output).suffix.lower() in _DRAWN:
+            raise UserError(f"output is '{self.output}'; it cannot end in {' or '.join(_DRAWN)}, as its picture does.")
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,7 @@ class DrawConfig:
     """What to draw; the values of `configs/mosh/draw.yaml`, which explains them.
 
     Raises:
-        UserError: another gender; a file of another kind.
+        UserError: another gender.
     """
 
     layout: str
@@ -49,7 +52,6 @@ class DrawConfig:
 
     def __post_init__(self):
         one_of(self, gender=GENDERS)
-        _refuse_suffix(self.output, ".png")
 
 
 def place(config: PlaceConfig) -> int:
@@ -74,7 +76,7 @@ def draw(config: DrawConfig) -> int:
     Raises:
         UserError: no such layout, or one for another body.
     """
-    subject, output = Subject("", config.gender, config.subject, config.models), Path(config.output)
+    subject, output = Subject("", config.gender, config.subject, config.models), Path(config.output).with_suffix(".png")
     layout = read_layout(config.layout, len(subject.body.v_template), subject.body.faces.numpy())
     reason = draw_layout(output, layout, subject.body, subject.v_template)
     print(reason or f"{output} shows the {len(layout.markers)} markers of {config.layout}.")
@@ -113,8 +115,3 @@ def read_places(markers: str) -> tuple[str, dict[str, dict[str, str]]]:
     if len({label for those in content.values() for label in those}) < len(taken):
         raise UserError(f"{path} has a label in two types.")
     return path.stem, content
-
-
-def _refuse_suffix(output: str, *suffixes: str) -> None:
-    if Path(output).suffix.lower() not in suffixes:
-        raise UserError(f"output is '{output}'; its suffix must be {' or '.join(suffixes)}.")

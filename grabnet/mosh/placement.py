@@ -55,6 +55,7 @@ class Placement:
         write_layout(f"{path}.yaml", self.layout)
         with replacing(Path(f"{path}.npz")) as temporary:
             np.savez(temporary, latent=self.latent.numpy(), v_template=self.v_template.numpy(),
+                     labels=np.array(self.layout.labels),
                      layout_sha256=np.array(sha256(Path(f"{path}.yaml"))))  # fmt: skip
 
 
