@@ -89,7 +89,7 @@ class Statistic(ABC):
         """Sum over the groups of a subset; 0 where there are none.
 
         Raises:
-            ValueError: the subset chooses by what is not told apart.
+            ValueError: the subset names a field that this statistic does not count by.
         """
         self._can_choose(subset)
         return sum((value for (group, name), value in self.sums.items() if name == what and group in subset), 0)

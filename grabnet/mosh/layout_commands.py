@@ -21,7 +21,7 @@ class PlaceConfig:
     """What to place; the values of `configs/mosh/place.yaml`, which explains them.
 
     Raises:
-        UserError: another gender; a file of another kind.
+        UserError: another gender; a name that the picture or the page takes.
     """
 
     markers: str

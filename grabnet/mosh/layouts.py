@@ -227,7 +227,7 @@ def _scalar(text: str) -> str:
     return yaml.safe_dump(text, allow_unicode=True, width=1000).splitlines()[0]
 
 
-class _Loader(yaml.SafeLoader):
+class _StrictSafeLoader(yaml.SafeLoader):
     """Refuses a key that occurs twice, of which YAML keeps the last, and those that YAML reads as true or false."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
@@ -249,7 +249,7 @@ def read_mapping(path: str | Path, what: str) -> dict[str, Any]:
     """
     path = existing(path, what)
     try:
-        content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
+        content = yaml.load(path.read_text(encoding="utf-8"), _StrictSafeLoader)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise UserError(f"{path} is no YAML that can be used ({' '.join(str(error).split())[:160]}).") from None
     if not isinstance(content, dict):

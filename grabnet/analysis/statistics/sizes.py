@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -32,9 +33,9 @@ class _BySize(Statistic):
             self.count(frames.group, "hand", np.array([frames.hand_length, 1.0]))
             self.add_primitive(frames)
 
+    @abstractmethod
     def add_primitive(self, frames: Frames) -> None:
         """Count the frames of a primitive shape."""
-        raise NotImplementedError
 
     def who(self, subset: Subset) -> dict[str, Subset]:
         """All subjects; then, of several, those with the smallest and the biggest hand."""
